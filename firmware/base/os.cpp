@@ -1,0 +1,82 @@
+#include "firmware/base/os.h"
+
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+#include <pthread.h>
+#include <sched.h>
+#include <sys/mman.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
+namespace lcdm::os {
+namespace {
+
+std::int64_t clock_ns(clockid_t clock) {
+  timespec now{};
+  clock_gettime(clock, &now);
+  return static_cast<std::int64_t>(now.tv_sec) * 1'000'000'000 + now.tv_nsec;
+}
+
+}  // namespace
+
+std::int64_t monotonic_ns() { return clock_ns(CLOCK_MONOTONIC); }
+
+std::int64_t unix_offset_ns() { return clock_ns(CLOCK_REALTIME) - clock_ns(CLOCK_MONOTONIC); }
+
+std::int64_t thread_cpu_ns() { return clock_ns(CLOCK_THREAD_CPUTIME_ID); }
+
+void set_thread_name(const char* name) {
+  char cut[16];
+  std::snprintf(cut, sizeof(cut), "%s", name);
+  pthread_setname_np(pthread_self(), cut);
+}
+
+void lower_thread_priority(int steps) {
+  const auto thread = static_cast<id_t>(syscall(SYS_gettid));
+  setpriority(PRIO_PROCESS, thread, getpriority(PRIO_PROCESS, thread) + steps);
+}
+
+Result<std::byte*> allocate_pages(std::size_t bytes) {
+  void* memory = mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  if (memory == MAP_FAILED) {
+    return Status::error(StatusCode::kOutOfMemory,
+                         "cannot reserve %zu bytes: free memory or choose a smaller input size",
+                         bytes);
+  }
+  madvise(memory, bytes, MADV_HUGEPAGE);  // best effort: fewer TLB misses where allowed
+  std::memset(memory, 0, bytes);          // touches every page: no faults later
+  return static_cast<std::byte*>(memory);
+}
+
+void free_pages(std::byte* memory, std::size_t bytes) noexcept {
+  if (memory != nullptr) munmap(memory, bytes);
+}
+
+Status lock_pages(std::byte* memory, std::size_t bytes) {
+  if (mlock(memory, bytes) == 0) return Status::ok();
+  return Status::system(errno, "cannot lock %zu bytes in memory (raise LimitMEMLOCK=)", bytes);
+}
+
+int processor_count() {
+  cpu_set_t set;
+  CPU_ZERO(&set);
+  if (sched_getaffinity(0, sizeof(set), &set) != 0) return 1;
+  return CPU_COUNT(&set) > 0 ? CPU_COUNT(&set) : 1;
+}
+
+std::size_t peak_rss_bytes() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<std::size_t>(usage.ru_maxrss) * 1024;
+}
+
+std::int64_t thread_page_faults() {
+  rusage usage{};
+  getrusage(RUSAGE_THREAD, &usage);
+  return usage.ru_minflt + usage.ru_majflt;
+}
+
+}  // namespace lcdm::os

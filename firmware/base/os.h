@@ -1,0 +1,42 @@
+// The only place in firmware/ that calls the operating system: clocks, pages, threads.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "firmware/base/status.h"
+
+namespace lcdm::os {
+
+// CLOCK_MONOTONIC, nanoseconds. The clock of every frame stamp and age.
+std::int64_t monotonic_ns();
+
+// CLOCK_REALTIME minus CLOCK_MONOTONIC, nanoseconds: add it to a frame stamp to get Unix time.
+std::int64_t unix_offset_ns();
+
+// CPU time of the calling thread, nanoseconds.
+std::int64_t thread_cpu_ns();
+
+// Names the calling thread (cut to 15 characters) as seen in top and gdb.
+void set_thread_name(const char* name);
+
+// Raises the calling thread's nice value by `steps`, so that others go first. Best effort.
+void lower_thread_priority(int steps);
+
+// Page-aligned zeroed memory, every page touched. Owned by the caller: give it to free_pages.
+Result<std::byte*> allocate_pages(std::size_t bytes);
+void free_pages(std::byte* memory, std::size_t bytes) noexcept;
+
+// Locks memory against swapping. Fails where RLIMIT_MEMLOCK is too small.
+Status lock_pages(std::byte* memory, std::size_t bytes);
+
+// Number of processors this process may run on, at least 1.
+int processor_count();
+
+// Largest resident set of this process so far, bytes.
+std::size_t peak_rss_bytes();
+
+// Minor plus major page faults of the calling thread so far.
+std::int64_t thread_page_faults();
+
+}  // namespace lcdm::os
