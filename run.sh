@@ -1,0 +1,30 @@
+#!/usr/bin/env bash
+# Builds lcdm and runs it as a depth camera. Installs what is missing first; the address of the
+# live page is printed when it is up. Ctrl-C stops it.
+#
+#   ./run.sh                      the first camera that really delivers, else a rendered scene
+#   ./run.sh scene:               the rendered scene (no camera needed)
+#   ./run.sh file:PATH            a video file or a folder of images
+#   ./run.sh v4l2:/dev/video0     a camera
+#
+# Everything after the source goes to `lcdm run`: ./run.sh scene: --listen 0.0.0.0
+set -euo pipefail
+cd "$(dirname "$0")"
+
+case ${1:-} in
+  -h | --help)
+    sed -n '2,10s/^# \{0,1\}//p' "$0"
+    exit 0
+    ;;
+esac
+
+source=()
+if [[ ${1:-} == *:* ]]; then
+  source=(--source "$1")
+  shift
+fi
+
+systemd/install-packages.sh run
+[[ -f build/release/build.ninja ]] || cmake --preset release
+cmake --build --preset release
+exec build/release/bin/lcdm run "${source[@]}" "$@"

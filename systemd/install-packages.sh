@@ -1,0 +1,66 @@
+#!/usr/bin/env bash
+# Installs the Debian packages that a group of tasks needs, from the machine's own package sources.
+#
+#   systemd/install-packages.sh run          build and run lcdm (all a board needs)
+#   systemd/install-packages.sh test         run the tests and checks
+#   systemd/install-packages.sh train        build lcdm-train (LibTorch; about 200 MB)
+#
+# Several groups may be given. Asks nothing; uses sudo when not root; does nothing, and needs no
+# network, when everything is there.
+set -euo pipefail
+
+run=(
+  build-essential cmake ninja-build pkg-config libeigen3-dev libhwy-dev libopencv-dev
+  libturbojpeg0-dev libpng-dev liblz4-dev libzstd-dev libcivetweb-dev libcli11-dev libtoml11-dev
+  nlohmann-json3-dev
+)
+test=(
+  libgtest-dev libgmock-dev libumockdev-dev umockdev clang-format clang-tidy chromium
+  fonts-dejavu-core nodejs npm opencv-doc
+)
+train=(libtorch-dev libopenblas0-pthread)
+
+usage() { sed -n '2,9s/^# \{0,1\}//p' "$0"; }
+
+packages=()
+[[ $# -gt 0 ]] || { usage >&2; exit 2; }
+for group in "$@"; do
+  case $group in
+    run) packages+=("${run[@]}") ;;
+    test) packages+=("${test[@]}") ;;
+    train) packages+=("${train[@]}") ;;
+    -h | --help) usage; exit 0 ;;
+    *) echo "install-packages: unknown group '$group': use run, test or train" >&2; exit 2 ;;
+  esac
+done
+
+# Ubuntu names libturbojpeg's headers differently.
+if ! grep -q '^ID=debian' /etc/os-release; then
+  packages=("${packages[@]/libturbojpeg0-dev/libturbojpeg-dev}")
+fi
+
+installed() {
+  dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null | grep -qx installed && return 0
+  # Node.js from another source than the distribution brings npm inside the package nodejs.
+  [[ $1 == npm ]] && command -v npm >/dev/null
+}
+
+missing=()
+for package in "${packages[@]}"; do
+  installed "$package" || missing+=("$package")
+done
+[[ ${#missing[@]} -gt 0 ]] || exit 0
+
+as_root() {
+  if [[ $(id -u) -eq 0 ]]; then "$@"; else sudo "$@"; fi
+}
+if [[ $(id -u) -ne 0 ]] && ! command -v sudo >/dev/null; then
+  echo "install-packages: run as root, or install sudo; missing: ${missing[*]}" >&2
+  exit 1
+fi
+
+echo "Installing ${#missing[@]} packages: ${missing[*]}"
+export DEBIAN_FRONTEND=noninteractive
+as_root apt-get update -q
+as_root env DEBIAN_FRONTEND=noninteractive \
+  apt-get install -y -q --no-install-recommends "${missing[@]}"
