@@ -24,7 +24,7 @@ esac
 
 table=()
 print_table() {
-  printf '\n%-34s %8s\n' 'stage' 'minutes'
+  printf '\n%-34s %8s\n' 'stage' 'min:s'
   printf '%s\n' "${table[@]}"
 }
 trap print_table EXIT
@@ -35,29 +35,48 @@ stage() {
   shift
   printf '\n=== %s\n' "$name"
   "$@" || { printf '\n%s failed\n' "$name" >&2; exit 1; }
-  table+=("$(printf '%-34s %8.1f' "$name" "$(bc_minutes $((SECONDS - begin)))")")
+  local seconds=$((SECONDS - begin))
+  table+=("$(printf '%-34s %5d:%02d' "$name" $((seconds / 60)) $((seconds % 60)))")
 }
-bc_minutes() { awk -v seconds="$1" 'BEGIN { print seconds / 60 }'; }
 
 build() {
-  cmake --preset "$1" >/dev/null && cmake --build --preset "$1" "${@:2}"
+  cmake --preset "$1" >/dev/null && cmake --build --preset "$1"
 }
 run_tests() {
   ctest --test-dir "build/$1" --output-on-failure --no-tests=error "${@:2}"
 }
 npm_packages() {
-  (cd tests/browser && npm install --ignore-scripts --no-audit --no-fund --silent)
+  local folder
+  for folder in tests/peers tests/browser; do
+    npm --prefix "$folder" install --no-package-lock --ignore-scripts --no-audit --no-fund --silent
+  done
 }
 check_format() {
   git ls-files '*.h' '*.cpp' | xargs clang-format --dry-run --Werror
 }
-
-sanitizer_build() { build "$1" --target firmware_tests drivers_tests; }
-sanitizer_tests() { run_tests "$1" -R "$sanitizer_subset"; }
-sanitizer_subset='.*'
+check_tidy() {
+  git ls-files 'firmware/*.cpp' 'drivers/*.cpp' 'app/*.cpp' 'model/*.cpp' |
+    xargs -P "$(nproc)" -n 4 clang-tidy -p build/trainer --quiet
+}
+# The device part with the board's compiler (Ubuntu 22.04 has gcc 11).
+build_board() {
+  cmake --preset release -B build/gcc-11 -DCMAKE_CXX_COMPILER=g++-11 >/dev/null &&
+    cmake --build build/gcc-11
+}
 
 stage 'install' systemd/install-packages.sh run test train
 stage 'npm packages' npm_packages
 stage 'format' check_format
-stage 'build' build trainer
-stage 'tests' run_tests trainer
+stage 'release build, with trainer' build trainer
+stage 'tests' run_tests trainer -LE long
+stage 'address sanitizer build' build asan
+stage 'address sanitizer tests' run_tests asan -LE 'long|browser'
+if $all; then
+  stage 'long tests' run_tests trainer -L long
+  stage 'undefined behaviour build' build ubsan
+  stage 'undefined behaviour tests' run_tests ubsan -LE 'long|browser'
+  stage 'thread sanitizer build' build tsan
+  stage 'thread sanitizer tests' run_tests tsan -LE 'long|browser'
+  stage 'clang-tidy' check_tidy
+  stage 'g++-11 build' build_board
+fi
