@@ -1,0 +1,231 @@
+#include "drivers/mcap_camera.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <filesystem>
+#include <system_error>
+#include <thread>
+#include <turbojpeg.h>
+
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+namespace fs = std::filesystem;
+constexpr std::size_t kMaxJpeg = 16U << 20;
+
+Result<std::vector<std::string>> find_segments(const std::string& path) {
+  std::error_code error;
+  std::vector<std::string> segments;
+  if (fs::is_directory(path, error)) {
+    for (const auto& entry : fs::directory_iterator(path, error)) {
+      if (entry.path().extension() == ".mcap") segments.push_back(entry.path().string());
+    }
+    std::sort(segments.begin(), segments.end());
+  } else if (fs::exists(path, error)) {
+    segments.push_back(path);
+  }
+  if (segments.empty()) {
+    return Status::error(StatusCode::kNotFound,
+                         "mcap:%s: no such recording: give an .mcap file or a folder of them",
+                         path.c_str());
+  }
+  return segments;
+}
+
+// Width and height of a JPEG from its header; 0 x 0 when it is none.
+FrameFormat jpeg_format(std::span<const std::byte> jpeg) {
+  FrameFormat format{PixelFormat::kMjpeg, 0, 0, 0};
+  const tjhandle handle = tjInitDecompress();
+  if (handle == nullptr) return format;
+  int subsampling = 0;
+  int colourspace = 0;
+  const auto* data = reinterpret_cast<const unsigned char*>(jpeg.data());
+  if (tjDecompressHeader3(handle, data, static_cast<unsigned long>(jpeg.size()), &format.width,
+                          &format.height, &subsampling, &colourspace) != 0) {
+    format.width = format.height = 0;
+  }
+  tjDestroy(handle);
+  return format;
+}
+
+}  // namespace
+
+McapCamera::McapCamera(std::string path, Playback playback)
+    : path_(std::move(path)), playback_(playback) {}
+
+Status McapCamera::configure(const CaptureRequest& request) {
+  auto segments = find_segments(path_);
+  if (!segments) return segments.status();
+  segments_ = std::move(*segments);
+  has_calibration_ = false;
+  LCDM_RETURN_IF_ERROR(start());
+  const Status status = inspect_first_frame(request.assumed_field_of_view);
+  stop();
+  return status;
+}
+
+CameraInfo McapCamera::info() const {
+  char text[128];
+  std::snprintf(text, sizeof(text), "recording of %zu segment%s, %dx%d JPEG", segments_.size(),
+                segments_.size() == 1 ? "" : "s", format_.width, format_.height);
+  return {"mcap:" + path_, text, 0};
+}
+
+Status McapCamera::start() {
+  for (Slot& slot : slots_) slot.free = true;
+  has_pending_ = false;
+  sequence_ = 0;
+  play_origin_ns_ = 0;
+  round_delivered_ = false;
+  return open_segment(0);
+}
+
+void McapCamera::stop() {
+  reader_.reset();
+  file_.reset();
+}
+
+Result<CapturedFrame> McapCamera::dequeue(std::chrono::milliseconds timeout) {
+  if (!has_pending_) LCDM_RETURN_IF_ERROR(fetch());
+  int index = -1;
+  Slot* slot = find_free_slot(index);
+
+  std::int64_t due = os::monotonic_ns();
+  if (playback_ == Playback::kLive) {
+    if (play_origin_ns_ == 0) {
+      play_origin_ns_ = due;
+      recorded_origin_ns_ = pending_meta_.unix_ns;
+    }
+    due = play_origin_ns_ + (pending_meta_.unix_ns - recorded_origin_ns_);
+  }
+  const std::int64_t deadline =
+      os::monotonic_ns() + std::chrono::duration_cast<std::chrono::nanoseconds>(timeout).count();
+  const std::int64_t until = slot == nullptr ? deadline : std::min(due, deadline);
+  std::this_thread::sleep_for(std::chrono::nanoseconds(until - os::monotonic_ns()));
+  if (slot == nullptr || due > deadline) {
+    return Status::error(StatusCode::kTimeout, "mcap:%s: no frame due or no free buffer",
+                         path_.c_str());
+  }
+
+  slot->free = false;
+  std::swap(slot->jpeg, pending_);
+  has_pending_ = false;
+  round_delivered_ = true;
+  CapturedFrame frame{index, {format_, pending_meta_, nullptr, slot->jpeg.size()}};
+  frame.view.data = reinterpret_cast<const std::uint8_t*>(slot->jpeg.data());
+  frame.view.meta.sequence = sequence_++;
+  if (playback_ == Playback::kLive) {
+    // Live playback plays the part of a camera: the frame was "seen" now.
+    frame.view.meta.sensor_ns = os::monotonic_ns();
+    frame.view.meta.unix_ns = frame.view.meta.sensor_ns + os::unix_offset_ns();
+  }
+  return frame;
+}
+
+Status McapCamera::requeue(int index) {
+  if (index < 0 || index >= kBuffers || slots_[static_cast<std::size_t>(index)].free) {
+    return Status::error(StatusCode::kInvalidInput, "mcap: buffer %d is not lent", index);
+  }
+  slots_[static_cast<std::size_t>(index)].free = true;
+  return Status::ok();
+}
+
+McapCamera::Slot* McapCamera::find_free_slot(int& index) {
+  for (int i = 0; i < kBuffers; ++i) {
+    if (!slots_[static_cast<std::size_t>(i)].free) continue;
+    index = i;
+    return &slots_[static_cast<std::size_t>(i)];
+  }
+  return nullptr;
+}
+
+Status McapCamera::open_segment(std::size_t index) {
+  segment_ = index;
+  reader_.reset();
+  file_.reset(std::fopen(segments_[index].c_str(), "rbe"));
+  if (file_ == nullptr) {
+    return Status::system(errno, "mcap:%s: cannot open", segments_[index].c_str());
+  }
+  reader_ = std::make_unique<wire::McapReader>(
+      [file = file_.get()](std::span<std::byte> out) -> Result<std::size_t> {
+        const std::size_t got = std::fread(out.data(), 1, out.size(), file);
+        if (got != out.size() && std::ferror(file) != 0) {
+          return Status::system(errno, "mcap: reading the recording failed");
+        }
+        return got;
+      });
+  const Status status = reader_->open();
+  if (status) return status;
+  return Status::error(status.code(), "mcap:%s: %s", segments_[index].c_str(), status.text());
+}
+
+// The next message of the recording, crossing segments. kEndOfStream behind the last.
+Result<wire::McapMessage> McapCamera::next_message() {
+  while (true) {
+    auto message = reader_->next();
+    if (message.code() != StatusCode::kEndOfStream || segment_ + 1 == segments_.size()) {
+      return message;
+    }
+    LCDM_RETURN_IF_ERROR(open_segment(segment_ + 1));
+  }
+}
+
+// Reads on until the next picture lies in pending_.
+Status McapCamera::fetch() {
+  while (true) {
+    const auto message = next_message();
+    if (message.code() == StatusCode::kEndOfStream && playback_ == Playback::kLive &&
+        round_delivered_) {
+      play_origin_ns_ = 0;
+      round_delivered_ = false;
+      LCDM_RETURN_IF_ERROR(open_segment(0));
+      continue;
+    }
+    if (!message) return message.status();
+    if (message->schema_name == wire::kCameraCalibrationSchema) {
+      const auto calibration = wire::decode_camera_calibration(message->data);
+      if (!calibration) return calibration.status();
+      if (!has_calibration_) model_ = calibration->model;
+      has_calibration_ = true;
+    }
+    if (message->schema_name != wire::kCompressedImageSchema) continue;
+    const auto image = wire::decode_compressed_image(message->data);
+    if (!image) return image.status();
+    if (image->format != "jpeg" || image->bytes.empty() || image->bytes.size() > kMaxJpeg) {
+      return Status::error(StatusCode::kCorrupt, "mcap:%s: an image that is no JPEG: skipped",
+                           segments_[segment_].c_str());
+    }
+    pending_.assign(image->bytes.begin(), image->bytes.end());
+    pending_meta_ = {};
+    pending_meta_.unix_ns = image->unix_ns;
+    has_pending_ = true;
+    return Status::ok();
+  }
+}
+
+// Learns size and intrinsics from the first readable picture.
+Status McapCamera::inspect_first_frame(float assumed_field_of_view) {
+  Status status = fetch();
+  while (status.code() == StatusCode::kCorrupt) status = fetch();
+  if (!status) {
+    return Status::error(StatusCode::kInvalidInput, "mcap:%s: no JPEG pictures in it (%s)",
+                         path_.c_str(), status.text());
+  }
+  format_ = jpeg_format(pending_);
+  if (format_.width <= 0 || format_.height <= 0) {
+    return Status::error(StatusCode::kCorrupt, "mcap:%s: its first picture is no valid JPEG",
+                         path_.c_str());
+  }
+  if (!has_calibration_) {
+    model_ = CameraModel::from_field_of_view(format_.width, format_.height, assumed_field_of_view);
+  } else if (model_.width != format_.width || model_.height != format_.height) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "mcap:%s: pictures are %dx%d but the calibration says %dx%d",
+                         path_.c_str(), format_.width, format_.height, model_.width, model_.height);
+  }
+  return Status::ok();
+}
+
+}  // namespace lcdm
