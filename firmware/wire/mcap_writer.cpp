@@ -30,7 +30,7 @@ std::uint16_t id_of(std::size_t channel_index) {
 // Enough for the largest thing outside a chunk's records: the index of a full chunk, or head and
 // schemas; the summary goes out record by record.
 std::size_t scratch_bytes(std::size_t chunk_messages) {
-  constexpr std::size_t kSchemasAndMetadata = 16 * 1024;
+  constexpr std::size_t kSchemasAndMetadata = 16U << 10;
   return kSchemasAndMetadata + chunk_messages * kIndexEntryBytes;
 }
 
