@@ -1,0 +1,283 @@
+#include "app/config.h"
+
+#include <algorithm>
+#include <arpa/inet.h>
+#include <cctype>
+#include <charconv>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <optional>
+#include <toml.hpp>
+#include <unistd.h>
+
+#include "app/source.h"
+
+namespace lcdm {
+namespace {
+
+constexpr std::uintmax_t kMaxFileBytes = 256 * 1024;
+
+const char* source_objection(const std::string& text) {
+  if (text == "auto" || is_source_uri(text)) return nullptr;
+  return "is no source: use auto, scene:, file:PATH, mcap:PATH or v4l2:/dev/...";
+}
+
+const char* address_objection(const std::string& text) {
+  in6_addr address{};  // the larger of both
+  if (inet_pton(AF_INET, text.c_str(), &address) == 1) return nullptr;
+  if (inet_pton(AF_INET6, text.c_str(), &address) == 1) return nullptr;
+  return "is no numeric address: use 127.0.0.1 (this machine only), 0.0.0.0 or :: (everybody)";
+}
+
+Status fault(const std::string& place, const std::string& text) {
+  return Status::error(StatusCode::kInvalidInput, "%s: %s", place.c_str(), text.c_str());
+}
+
+std::string name_of(const ConfigField& field) {
+  return std::string(field.section) + "." + field.key;
+}
+
+std::string plain(double number) {
+  char text[32];
+  std::snprintf(text, sizeof(text), "%g", number);
+  return text;
+}
+
+// The one way in for every value, whatever it came from.
+Status assign(const ConfigField& field, const std::string& place, const std::string& text) {
+  if (auto* const* string = std::get_if<std::string*>(&field.place)) {
+    const char* objection = field.objection == nullptr ? nullptr : field.objection(text);
+    if (objection != nullptr)
+      return fault(place, name_of(field) + " = \"" + text + "\" " + objection);
+    **string = text;
+    return Status::ok();
+  }
+  double number = 0;
+  const char* end = text.data() + text.size();
+  const auto parsed = std::from_chars(text.data(), end, number);
+  const bool whole = std::holds_alternative<int*>(field.place);
+  const bool is_number = parsed.ec == std::errc() && parsed.ptr == end && std::isfinite(number) &&
+                         (!whole || number == std::floor(number));
+  if (!is_number || number < field.min || number > field.max) {
+    return fault(place, name_of(field) + " = " + text + " is not allowed: use a " +
+                            (whole ? "whole number" : "number") + " from " + plain(field.min) +
+                            " to " + plain(field.max));
+  }
+  if (auto* const* integer = std::get_if<int*>(&field.place)) **integer = static_cast<int>(number);
+  if (auto* const* real = std::get_if<double*>(&field.place)) **real = number;
+  return Status::ok();
+}
+
+std::string known_keys(const std::vector<ConfigField>& fields, const std::string& section) {
+  std::string text;
+  for (const ConfigField& field : fields) {
+    if (field.section == section) text += (text.empty() ? "" : ", ") + std::string(field.key);
+  }
+  return text;
+}
+
+std::string known_sections(const std::vector<ConfigField>& fields) {
+  std::string text;
+  std::string last;
+  for (const ConfigField& field : fields) {
+    if (field.section == last) continue;
+    last = field.section;
+    text += (text.empty() ? "" : ", ") + last;
+  }
+  return text;
+}
+
+Result<const ConfigField*> find(const std::vector<ConfigField>& fields, const std::string& place,
+                                const std::string& section, const std::string& key) {
+  for (const ConfigField& field : fields) {
+    if (field.section == section && field.key == key) return &field;
+  }
+  const std::string keys = known_keys(fields, section);
+  if (keys.empty()) {
+    return fault(place, "no section [" + section + "]: there are " + known_sections(fields));
+  }
+  return fault(place, "no key " + section + "." + key + ": [" + section + "] has " + keys);
+}
+
+std::string place_of(const std::string& file, const toml::source_location& location) {
+  return file + ":" + std::to_string(location.line()) + ":" + std::to_string(location.column());
+}
+
+// The value as text for assign(); empty when its type does not fit the field.
+std::optional<std::string> text_of(const ConfigField& field, const toml::value& value) {
+  const bool wants_string = std::holds_alternative<std::string*>(field.place);
+  if (wants_string && value.is_string()) return value.as_string().str;
+  if (wants_string) return std::nullopt;
+  if (value.is_integer()) return std::to_string(value.as_integer());
+  if (!value.is_floating()) return std::nullopt;
+  char text[64];
+  std::snprintf(text, sizeof(text), "%.17g", value.as_floating());
+  return text;
+}
+
+Status read_section(const std::vector<ConfigField>& fields, const std::string& file,
+                    const std::string& section, const toml::value& table) {
+  if (!table.is_table()) {
+    return fault(place_of(file, table.location()),
+                 "key " + section + " outside a section: there are " + known_sections(fields));
+  }
+  if (known_keys(fields, section).empty()) {
+    return find(fields, place_of(file, table.location()), section, "").status();
+  }
+  for (const auto& [key, value] : table.as_table()) {
+    const std::string place = place_of(file, value.location());
+    const auto field = find(fields, place, section, key);
+    if (!field) return field.status();
+    const std::optional<std::string> text = text_of(**field, value);
+    if (!text) {
+      return fault(place, name_of(**field) + " must be " +
+                              (std::holds_alternative<std::string*>((*field)->place)
+                                   ? "a text in quotes"
+                                   : "a number without quotes"));
+    }
+    LCDM_RETURN_IF_ERROR(assign(**field, place, *text));
+  }
+  return Status::ok();
+}
+
+// "[error] toml::parse_table: ... \n --> file" becomes its first line without the prefix.
+std::string first_line(const std::string& what) {
+  std::string line = what.substr(0, what.find('\n'));
+  if (line.rfind("[error] ", 0) == 0) line.erase(0, 8);
+  if (line.rfind("toml::", 0) == 0 && line.find(": ") != std::string::npos) {
+    line.erase(0, line.find(": ") + 2);
+  }
+  return line;
+}
+
+Status read_file(const std::vector<ConfigField>& fields, const std::string& file) {
+  std::error_code error;
+  const std::uintmax_t bytes = std::filesystem::file_size(file, error);
+  if (error) {
+    return fault(file,
+                 "cannot read the configuration (" + error.message() + "): give an existing file");
+  }
+  if (bytes > kMaxFileBytes) return fault(file, "larger than 256 KiB: not a configuration");
+  try {
+    std::ifstream stream(file, std::ios::binary);
+    const toml::value root = toml::parse(stream, file);
+    for (const auto& [section, table] : root.as_table()) {
+      LCDM_RETURN_IF_ERROR(read_section(fields, file, section, table));
+    }
+  } catch (const toml::exception& syntax) {
+    return fault(place_of(file, syntax.location()), first_line(syntax.what()));
+  } catch (const std::exception& other) {
+    return fault(file, first_line(other.what()));
+  }
+  return Status::ok();
+}
+
+std::string upper(std::string text) {
+  std::transform(text.begin(), text.end(), text.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::toupper(c)); });
+  return text;
+}
+
+// LCDM_CAMERA_WIDTH=320. Names that belong to no section of ours are none of our business.
+Status read_variable(const std::vector<ConfigField>& fields, const std::string& variable) {
+  const std::string name = variable.substr(0, variable.find('='));
+  if (name.size() == variable.size()) return Status::ok();
+  const std::string value = variable.substr(name.size() + 1);
+  for (const ConfigField& field : fields) {
+    if (name == "LCDM_" + upper(field.section) + "_" + upper(field.key)) {
+      return assign(field, name, value);
+    }
+  }
+  for (const ConfigField& field : fields) {
+    if (name.rfind("LCDM_" + upper(field.section) + "_", 0) == 0) {
+      return fault(name, std::string("no such key: [") + field.section + "] has " +
+                             known_keys(fields, field.section));
+    }
+  }
+  return Status::ok();
+}
+
+Status read_assignment(const std::vector<ConfigField>& fields, const ConfigAssignment& given) {
+  const auto& [assignment, place] = given;
+  const std::size_t equals = assignment.find('=');
+  const std::size_t dot = assignment.find('.');
+  if (equals == std::string::npos || dot > equals) {
+    return fault(place, "write it as section.key=value");
+  }
+  const auto field =
+      find(fields, place, assignment.substr(0, dot), assignment.substr(dot + 1, equals - dot - 1));
+  if (!field) return field.status();
+  return assign(**field, place, assignment.substr(equals + 1));
+}
+
+Status check_whole(const Config& config) {
+  const bool one_missing = (config.model.width == 0) != (config.model.height == 0);
+  if (one_missing || config.model.width % 32 != 0 || config.model.height % 32 != 0) {
+    return fault("model.width, model.height",
+                 "give both as multiples of 32, or both as 0 to follow the camera's shape");
+  }
+  return Status::ok();
+}
+
+}  // namespace
+
+bool Config::operator==(const Config& other) const {
+  Config left = *this;
+  Config right = other;
+  const auto ours = config_fields(left);
+  const auto theirs = config_fields(right);
+  for (std::size_t i = 0; i < ours.size(); ++i) {
+    const bool equal = std::visit(
+        [&](auto* place) { return *place == *std::get<decltype(place)>(theirs[i].place); },
+        ours[i].place);
+    if (!equal) return false;
+  }
+  return true;
+}
+
+std::vector<ConfigField> config_fields(Config& c) {
+  return {
+      {"camera", "source", &c.camera.source, 0, 0, &source_objection},
+      {"camera", "width", &c.camera.width, 32, 8192},
+      {"camera", "height", &c.camera.height, 32, 8192},
+      {"camera", "frames_per_second", &c.camera.frames_per_second, 0.1, 1000},
+      {"camera", "field_of_view", &c.camera.field_of_view, 5, 170},
+      {"model", "file", &c.model.file},
+      {"model", "width", &c.model.width, 0, 2048},
+      {"model", "height", &c.model.height, 0, 2048},
+      {"model", "threads", &c.model.threads, 0, 64},
+      {"http", "listen", &c.http.listen, 0, 0, &address_objection},
+      {"http", "port", &c.http.port, 0, 65535},
+      {"http", "max_clients", &c.http.max_clients, 1, 64},
+  };
+}
+
+Result<Config> load_config(const ConfigSources& sources) {
+  Config config;
+  const std::vector<ConfigField> fields = config_fields(config);
+  if (!sources.file.empty()) LCDM_RETURN_IF_ERROR(read_file(fields, sources.file));
+  for (const std::string& variable : sources.environment) {
+    LCDM_RETURN_IF_ERROR(read_variable(fields, variable));
+  }
+  for (const ConfigAssignment& assignment : sources.assignments) {
+    LCDM_RETURN_IF_ERROR(read_assignment(fields, assignment));
+  }
+  LCDM_RETURN_IF_ERROR(check_whole(config));
+  return config;
+}
+
+std::vector<std::string> process_environment() {
+  std::vector<std::string> variables;
+  for (char** entry = environ; entry != nullptr && *entry != nullptr; ++entry) {
+    if (std::string_view(*entry).substr(0, 5) == "LCDM_") variables.emplace_back(*entry);
+  }
+  return variables;
+}
+
+std::string default_config_file() {
+  const std::string installed = "/etc/lcdm/lcdm.toml";
+  return access(installed.c_str(), F_OK) == 0 ? installed : "";
+}
+
+}  // namespace lcdm

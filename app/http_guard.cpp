@@ -1,0 +1,71 @@
+#include "app/http_guard.h"
+
+#include <algorithm>
+#include <arpa/inet.h>
+#include <cctype>
+
+namespace lcdm {
+namespace {
+
+std::string lower(std::string_view text) {
+  std::string out(text);
+  std::transform(out.begin(), out.end(), out.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return out;
+}
+
+bool is_port(std::string_view text) {
+  return !text.empty() && text.size() <= 5 &&
+         std::all_of(text.begin(), text.end(),
+                     [](unsigned char c) { return std::isdigit(c) != 0; });
+}
+
+// "name:port" or "[v6]:port" without the port and the brackets; empty when malformed.
+std::string host_name(std::string_view host) {
+  std::string_view rest;
+  std::string_view name = host;
+  if (host.substr(0, 1) == "[") {
+    const std::size_t end = host.find(']');
+    if (end == std::string_view::npos) return {};
+    name = host.substr(1, end - 1);
+    rest = host.substr(end + 1);
+  } else if (const std::size_t colon = host.find(':'); colon != std::string_view::npos) {
+    name = host.substr(0, colon);
+    rest = host.substr(colon);
+  }
+  if (!rest.empty() && (rest[0] != ':' || !is_port(rest.substr(1)))) return {};
+  return lower(name);
+}
+
+bool is_numeric(const std::string& name) {
+  in6_addr address{};
+  return inet_pton(AF_INET, name.c_str(), &address) == 1 ||
+         inet_pton(AF_INET6, name.c_str(), &address) == 1;
+}
+
+bool is_ours(std::string_view host, std::string_view machine_name) {
+  const std::string name = host_name(host);
+  if (name.empty()) return false;
+  const std::string machine = lower(machine_name);
+  if (name == "localhost" || is_numeric(name)) return true;
+  return !machine.empty() && (name == machine || name == machine + ".local");
+}
+
+}  // namespace
+
+Verdict judge_request(const RequestFacts& facts, std::string_view allowed_method,
+                      std::string_view machine_name) {
+  if (facts.host.empty()) return {400, "the request has no Host header"};
+  if (!is_ours(facts.host, machine_name)) {
+    return {421, "this machine is not known by that name: use its address"};
+  }
+  const bool reads = facts.method == "GET" || facts.method == "HEAD";
+  if (!(facts.method == allowed_method || (reads && allowed_method == "GET"))) {
+    return {405, "this address takes another method"};
+  }
+  if (reads || facts.origin.empty()) return {};
+  if (lower(facts.origin) == "http://" + lower(facts.host)) return {};
+  return {403, "requests from other sites are refused"};
+}
+
+}  // namespace lcdm

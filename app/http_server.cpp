@@ -1,0 +1,284 @@
+#include "app/http_server.h"
+
+#include <cerrno>
+#include <chrono>
+#include <civetweb.h>
+#include <cstdio>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <thread>
+#include <unistd.h>
+
+#include "app/http_guard.h"
+
+namespace lcdm {
+namespace {
+
+// Threads beyond the viewers', for short requests such as the status.
+constexpr int kShortRequestThreads = 4;
+constexpr const char* kMaxRequestBytes = "8192";
+// What the kernel may hold for one client. A slow one then loses frames, not seconds.
+constexpr int kSendBufferBytes = 256 * 1024;
+// No descriptor of ours is higher: the number of threads and files is capped.
+constexpr int kMaxDescriptor = 1024;
+
+const char* reason_of(int status) {
+  switch (status) {
+    case 200:
+      return "OK";
+    case 400:
+      return "Bad Request";
+    case 403:
+      return "Forbidden";
+    case 404:
+      return "Not Found";
+    case 405:
+      return "Method Not Allowed";
+    case 421:
+      return "Misdirected Request";
+    case 503:
+      return "Service Unavailable";
+    default:
+      return "Internal Server Error";
+  }
+}
+
+std::string_view header(const mg_connection* connection, const char* name) {
+  const char* value = mg_get_header(connection, name);
+  return value == nullptr ? std::string_view() : value;
+}
+
+std::string bracketed(const std::string& address) {
+  return address.find(':') == std::string::npos ? address : "[" + address + "]";
+}
+
+int local_port(int descriptor) {
+  sockaddr_storage address{};
+  socklen_t length = sizeof(address);
+  if (getsockname(descriptor, reinterpret_cast<sockaddr*>(&address), &length) != 0) return -1;
+  if (address.ss_family == AF_INET) {
+    return ntohs(reinterpret_cast<const sockaddr_in*>(&address)->sin_port);
+  }
+  if (address.ss_family == AF_INET6) {
+    return ntohs(reinterpret_cast<const sockaddr_in6*>(&address)->sin6_port);
+  }
+  return -1;
+}
+
+// civetweb keeps its sockets to itself, so we find them by their port: the listening one and those
+// it accepted.
+template <typename Function>
+void for_each_socket(int port, Function&& function) {
+  for (int descriptor = 0; descriptor < kMaxDescriptor; ++descriptor) {
+    if (local_port(descriptor) == port) function(descriptor);
+  }
+}
+
+}  // namespace
+
+// ---- HttpExchange -------------------------------------------------------------------------------
+
+std::string HttpExchange::query(const char* name) const {
+  const char* text = mg_get_request_info(connection_)->query_string;
+  if (text == nullptr) return {};
+  char value[64];
+  const int length =
+      mg_get_var(text, std::char_traits<char>::length(text), name, value, sizeof(value));
+  return length < 0 ? std::string() : std::string(value, static_cast<std::size_t>(length));
+}
+
+bool HttpExchange::is_head_request() const {
+  return std::string_view(mg_get_request_info(connection_)->request_method) == "HEAD";
+}
+
+bool HttpExchange::send_head(int status, std::string_view type, long long length,
+                             const HttpHeaders& headers) {
+  std::string head = "HTTP/1.1 " + std::to_string(status) + " " + reason_of(status) + "\r\n";
+  head += "Content-Type: " + std::string(type) + "\r\n";
+  if (length >= 0) head += "Content-Length: " + std::to_string(length) + "\r\n";
+  for (const auto& [name, value] : headers) head += name + ": " + value + "\r\n";
+  head +=
+      "Connection: close\r\n"
+      "Cache-Control: no-store\r\n"
+      "Content-Security-Policy: default-src 'self'; img-src 'self' blob:; base-uri 'none'; "
+      "form-action 'none'; frame-ancestors 'none'\r\n"
+      "Cross-Origin-Resource-Policy: same-origin\r\n"
+      "Referrer-Policy: no-referrer\r\n"
+      "X-Content-Type-Options: nosniff\r\n\r\n";
+  return write_text(head);
+}
+
+void HttpExchange::send(int status, std::string_view type, std::span<const std::byte> body,
+                        const HttpHeaders& headers) {
+  if (!send_head(status, type, static_cast<long long>(body.size()), headers)) return;
+  if (!is_head_request()) write(body);
+}
+
+void HttpExchange::send_text(int status, std::string_view type, std::string_view body,
+                             const HttpHeaders& headers) {
+  send(status, type, std::as_bytes(std::span(body.data(), body.size())), headers);
+}
+
+bool HttpExchange::begin_stream(std::string_view type) {
+  return send_head(200, type, -1, {}) && !is_head_request();
+}
+
+bool HttpExchange::write(std::span<const std::byte> bytes) {
+  if (stopping_) return false;
+  const int written = mg_write(connection_, bytes.data(), bytes.size());
+  return written == static_cast<int>(bytes.size());
+}
+
+bool HttpExchange::write_text(std::string_view text) {
+  return write(std::as_bytes(std::span(text.data(), text.size())));
+}
+
+// ---- HttpServer ---------------------------------------------------------------------------------
+
+HttpServer::HttpServer(HttpOptions options, std::vector<HttpRoute> routes)
+    : options_(std::move(options)), routes_(std::move(routes)) {
+  char name[256] = {};
+  if (gethostname(name, sizeof(name) - 1) == 0) machine_name_ = name;
+}
+
+Result<std::unique_ptr<HttpServer>> HttpServer::start(const HttpOptions& options,
+                                                      std::vector<HttpRoute> routes) {
+  std::unique_ptr<HttpServer> server(new HttpServer(options, std::move(routes)));
+  LCDM_RETURN_IF_ERROR(server->listen());
+  server->limit_send_buffers();
+  return server;
+}
+
+Status HttpServer::listen() {
+  const std::string place = bracketed(options_.listen) + ":" + std::to_string(options_.port);
+  const std::string threads = std::to_string(options_.max_clients + kShortRequestThreads);
+  const std::string timeout = std::to_string(options_.timeout_ms);
+  const char* settings[] = {"listening_ports",
+                            place.c_str(),
+                            "num_threads",
+                            threads.c_str(),
+                            "request_timeout_ms",
+                            timeout.c_str(),
+                            "max_request_size",
+                            kMaxRequestBytes,
+                            "enable_keep_alive",
+                            "no",
+                            "tcp_nodelay",
+                            "1",
+                            nullptr};
+  mg_callbacks callbacks{};
+  callbacks.begin_request = &HttpServer::begin_request;
+  callbacks.log_message = &HttpServer::log_message;
+  context_ = mg_start(&callbacks, this, settings);
+  if (context_ == nullptr) {
+    return Status::error(StatusCode::kUnavailable,
+                         "http: cannot listen on %s (%s): stop the program that uses the port, or "
+                         "choose another with --port N or http.port",
+                         place.c_str(), last_complaint_.c_str());
+  }
+  mg_server_port ports[4] = {};
+  if (mg_get_server_ports(context_, 4, ports) > 0) port_ = ports[0].port;
+  return Status::ok();
+}
+
+// Accepted sockets inherit it from the listening one.
+void HttpServer::limit_send_buffers() const {
+  for_each_socket(port_, [](int descriptor) {
+    setsockopt(descriptor, SOL_SOCKET, SO_SNDBUF, &kSendBufferBytes, sizeof(kSendBufferBytes));
+  });
+}
+
+// civetweb looks at its stop flag only every two seconds while it waits on a socket. Shutting the
+// sockets down wakes those waits, so that the program can end within one.
+void HttpServer::stop() {
+  stopping_ = true;
+  if (context_ == nullptr) return;
+  std::atomic<bool> stopped{false};
+  std::thread joiner([this, &stopped] {
+    mg_stop(context_);
+    stopped = true;
+  });
+  while (!stopped) {
+    for_each_socket(port_, [](int descriptor) { shutdown(descriptor, SHUT_RDWR); });
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  joiner.join();
+  context_ = nullptr;
+}
+
+std::string HttpServer::address() const {
+  const bool everybody = options_.listen == "0.0.0.0" || options_.listen == "::";
+  const std::string host = everybody ? machine_name_ : bracketed(options_.listen);
+  return "http://" + host + ":" + std::to_string(port_) + "/";
+}
+
+int HttpServer::log_message(const mg_connection* connection, const char* text) {
+  auto* server = static_cast<HttpServer*>(mg_get_user_data(mg_get_context(connection)));
+  // Only while starting, on the owner's thread; later complaints are about clients.
+  if (server != nullptr && server->context_ == nullptr) server->last_complaint_ = text;
+  return 1;
+}
+
+int HttpServer::begin_request(mg_connection* connection) {
+  static_cast<HttpServer*>(mg_get_user_data(mg_get_context(connection)))->handle(connection);
+  return 1;  // answered here, whatever it was
+}
+
+const HttpRoute* HttpServer::find_route(const std::string& path, std::string_view method) const {
+  const HttpRoute* found = nullptr;
+  for (const HttpRoute& route : routes_) {
+    if (route.path != path) continue;
+    if (found == nullptr || route.method == method) found = &route;
+  }
+  return found;
+}
+
+// The library is C: nothing may fly through it.
+void HttpServer::handle(mg_connection* connection) {
+  HttpExchange exchange(connection, stopping_, viewers_);
+  try {
+    answer(connection, exchange);
+  } catch (const std::exception& error) {
+    exchange.send_text(500, "text/plain; charset=utf-8", std::string(error.what()) + "\n");
+  }
+}
+
+void HttpServer::answer(mg_connection* connection, HttpExchange& exchange) {
+  const mg_request_info* request = mg_get_request_info(connection);
+  const char* path = request->local_uri == nullptr ? "" : request->local_uri;
+  const HttpRoute* route = find_route(path, request->request_method);
+  const Verdict verdict = judge_request(
+      {request->request_method, header(connection, "Host"), header(connection, "Origin")},
+      route == nullptr ? "GET" : std::string_view(route->method), machine_name_);
+  if (verdict.status != 200) {
+    HttpHeaders headers;
+    if (verdict.status == 405) headers.emplace_back("Allow", route ? route->method : "GET");
+    exchange.send_text(verdict.status, "text/plain; charset=utf-8",
+                       std::string(verdict.reason) + "\n", headers);
+  } else if (route == nullptr) {
+    exchange.send_text(404, "text/plain; charset=utf-8", "nothing here: see /\n");
+  } else {
+    serve(*route, exchange);
+  }
+}
+
+void HttpServer::serve(const HttpRoute& route, HttpExchange& exchange) {
+  if (!route.is_stream) {
+    route.serve(exchange);
+    return;
+  }
+  struct Place {
+    std::atomic<int>& taken;
+    const int before = taken.fetch_add(1);
+    ~Place() { taken.fetch_sub(1); }
+  } const place{viewers_};
+  if (place.before < options_.max_clients) {
+    route.serve(exchange);
+  } else {
+    exchange.send_text(503, "text/plain; charset=utf-8",
+                       "all viewers' places are taken: close a page or raise http.max_clients\n",
+                       {{"Retry-After", "5"}});
+  }
+}
+
+}  // namespace lcdm

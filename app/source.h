@@ -1,0 +1,33 @@
+// From a source's URI to its camera.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "firmware/base/status.h"
+#include "firmware/pipeline/camera.h"
+
+namespace lcdm {
+
+// Live: at the source's own pace, for ever where it can. Offline: each frame once, at its own size.
+enum class Playback { kLive, kOffline };
+
+struct Source {
+  std::unique_ptr<Camera> camera;  // not configured yet
+  bool seal_capture = false;       // its capture thread keeps the promise not to allocate
+  bool endless = false;            // gives frames until it is stopped, offline too
+};
+
+// Whether the text has the form of a source: a scheme we know and what it needs. Does not look
+// whether anything is there.
+bool is_source_uri(const std::string& text);
+
+Result<Source> open_source(const std::string& uri, Playback playback);
+
+// What `auto` stands for now: the first V4L2 node that delivers a frame within 3 s, else the
+// rendered scene. Every node that is tried or rejected, and the choice, is a line for `say`.
+std::string choose_source(const CaptureRequest& request,
+                          const std::function<void(const std::string&)>& say);
+
+}  // namespace lcdm

@@ -1,0 +1,222 @@
+// The live page. One request, /live, brings colour, depth and status of the same frame; the depth
+// shown and the value under the marker both come from its 16-bit millimetres.
+import { LiveStream } from "/live.js";
+import { DepthPainter, formatDistance } from "/depth.js";
+
+const $ = (id) => document.getElementById(id);
+const screens = [$("colour-screen"), $("depth-screen")];
+const colourContext = $("colour").getContext("2d", { alpha: false });
+const painter = new DepthPainter($("depth"), $("scale"));
+
+let marker = { x: 0.5, y: 0.5 };  // fraction of the picture's width and height
+let depth = null;                 // {width, height, sequence, scale, values} of the shown frame
+let status = null;
+let statusTime = 0;               // performance.now() when `status` came
+let link = "connecting";          // connecting, up, or offline
+let linkText = "";
+let frozen = false;
+
+// ---- what is shown ------------------------------------------------------------------------------
+
+function setText(id, text) {
+  const element = $(id);
+  if (element.textContent !== text) element.textContent = text;
+}
+
+function showMarker() {
+  for (const screen of screens) {
+    const spot = screen.querySelector(".marker").style;
+    spot.left = `${100 * marker.x}%`;
+    spot.top = `${100 * marker.y}%`;
+  }
+  if (!depth) return;
+  const x = Math.min(depth.width - 1, Math.floor(marker.x * depth.width));
+  const y = Math.min(depth.height - 1, Math.floor(marker.y * depth.height));
+  const millimetres = depth.values[y * depth.width + x];
+  const { text, unit } = formatDistance(millimetres, depth.scale);
+  const output = $("distance");
+  output.textContent = text;
+  Object.assign(output.dataset, { x, y, millimetres, sequence: depth.sequence });
+  setText("unit", unit);
+  setText("place", `column ${x}, row ${y} of the depth picture`);
+}
+
+function showAge() {
+  if (!status || status.frame.age_ms < 0) {
+    setText("age", "\u2013");
+    return;
+  }
+  const age = status.frame.age_ms + performance.now() - statusTime;
+  setText("age", age < 10000 ? age.toFixed(0) : (age / 1000).toFixed(0));
+  setText("age-unit", age < 10000 ? "ms" : "s");
+}
+
+const stateNames = {
+  starting: "Starting", streaming: "Live", "no signal": "No signal", finished: "Finished",
+  stopped: "Stopped", connecting: "Connecting", offline: "Reconnecting",
+};
+
+function showState() {
+  const state = link === "up" ? status.state : link;
+  const pill = $("state");
+  pill.dataset.state = state;
+  setText("state", frozen && state === "streaming" ? "Frozen" : stateNames[state] ?? state);
+  const waiting = state !== "streaming" && !frozen;
+  for (const screen of screens) {
+    screen.classList.toggle("is-waiting", waiting);
+    if (!waiting) continue;
+    const [title, text] = screen.querySelectorAll(".veil > *");
+    title.textContent = stateNames[state] ?? state;
+    text.textContent = link === "up" ? waitText() : linkText;
+  }
+}
+
+function waitText() {
+  if (status.state === "starting") return "The first depth picture is on its way.";
+  const age = status.frame.age_ms + performance.now() - statusTime;
+  const last = status.frame.age_ms < 0 ? "" : `Last frame ${(age / 1000).toFixed(0)} s ago. `;
+  return last + (status.fault || "");
+}
+
+function showFigures() {
+  const { frames, inference_ms: inference } = status;
+  setText("rate", status.frames_per_second.toFixed(1));
+  setText("inference", inference.p50 < 0 ? "\u2013" : inference.p50.toFixed(0));
+  setText("inference-tail", inference.p99 < 0 ? "median" : `median; 99 % under ${inference.p99.toFixed(0)}`);
+  setText("dropped", String(frames.dropped));
+  setText("source", `${status.source.description} \u00b7 ${status.source.uri}`);
+  setText("colour-size", `${status.source.width} \u00d7 ${status.source.height}`);
+  setText("depth-size", `${status.depth.width} \u00d7 ${status.depth.height}, 16 bit`);
+  $("scale-note").hidden = status.depth.scale === "metric";
+  const aspect = `${status.source.width} / ${status.source.height}`;
+  for (const screen of screens) screen.style.setProperty("--aspect", aspect);
+}
+
+const megabytes = (bytes) => `${(bytes / 1e6).toFixed(1)} MB`;
+
+function showDetails() {
+  const { frames, model } = status;
+  const rows = [
+    ["Model", model.name], ["Licence", model.licence],
+    ["Network input", `${model.width} \u00d7 ${model.height}`],
+    ["Engine threads", model.threads], ["Arena", megabytes(model.arena_bytes)],
+    ["Weights", megabytes(model.weight_bytes)], ["Depth scale", status.depth.scale],
+    ["Latency, sensor to depth", status.frame.latency_ms < 0 ? "\u2013" : `${status.frame.latency_ms.toFixed(0)} ms`],
+    ["Frames captured", frames.captured], ["Frames with depth", frames.inferred],
+    ["Lost by the source", frames.sequence_gaps], ["Broken", frames.corrupt],
+    ["Refused by the engine", frames.failed], ["Camera time-outs", frames.timeouts],
+    ["Camera reopened", frames.reopened], ["Viewers", status.viewers],
+    ["Up for", `${Math.floor(status.uptime_s / 60)} min`], ["Version", status.version],
+  ];
+  $("details").replaceChildren(...rows.map(([name, value]) => {
+    const row = document.createElement("div");
+    const term = row.appendChild(document.createElement("dt"));
+    const text = row.appendChild(document.createElement("dd"));
+    term.textContent = name;
+    text.textContent = String(value);
+    return row;
+  }));
+}
+
+// ---- what comes in ------------------------------------------------------------------------------
+
+async function onMessage(message) {
+  status = message.status;
+  statusTime = performance.now();
+  link = "up";
+  if (message.depth && !frozen) {
+    const picture = await createImageBitmap(new Blob([message.jpeg], { type: "image/jpeg" }));
+    if (frozen) return;
+    const { canvas } = colourContext;
+    if (canvas.width !== picture.width || canvas.height !== picture.height) {
+      canvas.width = picture.width;
+      canvas.height = picture.height;
+    }
+    colourContext.drawImage(picture, 0, 0);
+    picture.close();
+    depth = message.depth;
+    const range = painter.paint(depth);
+    const unit = depth.scale === "metric" ? "m" : "rel.";
+    setText("near", `${range.nearest.toFixed(1)} ${unit}`);
+    setText("far", `${range.farthest.toFixed(1)} ${unit}`);
+    showMarker();
+  }
+  showFigures();
+  showState();
+  if (document.querySelector(".details").open) showDetails();
+}
+
+function onLost(text) {
+  link = "offline";
+  linkText = text;
+  showState();
+}
+
+// ---- what the person does -----------------------------------------------------------------------
+
+function point(event) {
+  const box = event.currentTarget.getBoundingClientRect();
+  const clamp = (value) => Math.min(0.999999, Math.max(0, value));
+  marker = {
+    x: clamp((event.clientX - box.left) / box.width),
+    y: clamp((event.clientY - box.top) / box.height),
+  };
+  showMarker();
+}
+
+const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+function nudge(event) {
+  const step = arrows[event.key];
+  if (!step || !depth) return;
+  event.preventDefault();
+  const pixels = event.shiftKey ? 10 : 1;
+  const move = (value, direction, size) =>
+    Math.min(size - 0.5, Math.max(0.5, Math.floor(value * size) + 0.5 + direction * pixels)) / size;
+  marker = { x: move(marker.x, step[0], depth.width), y: move(marker.y, step[1], depth.height) };
+  showMarker();
+}
+
+for (const screen of screens) {
+  screen.tabIndex = 0;
+  screen.addEventListener("pointermove", point);
+  screen.addEventListener("pointerdown", point);
+  screen.addEventListener("keydown", nudge);
+}
+
+function toggleFreeze() {
+  frozen = !frozen;
+  $("freeze").setAttribute("aria-pressed", String(frozen));
+  if (status) showState();
+}
+
+function setTheme(theme) {
+  document.documentElement.dataset.theme = theme;
+  localStorage.setItem("theme", theme);
+}
+
+const systemTheme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
+setTheme(localStorage.getItem("theme") ?? systemTheme);
+const toggleTheme = () =>
+  setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
+
+$("freeze").addEventListener("click", toggleFreeze);
+$("theme").addEventListener("click", toggleTheme);
+document.querySelector(".details").addEventListener("toggle", () => status && showDetails());
+document.addEventListener("keydown", (event) => {
+  const onControl = event.target.closest("button, a, summary");
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === " " && !onControl) {
+    event.preventDefault();
+    toggleFreeze();
+  } else if (event.key === "t") {
+    toggleTheme();
+  }
+});
+
+setInterval(() => {
+  showAge();
+  if (status && link === "up" && status.state !== "streaming") showState();
+}, 100);
+showMarker();
+new LiveStream("/live", onMessage, onLost).run();
