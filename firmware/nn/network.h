@@ -65,17 +65,19 @@ struct Parameter {
 
 struct Layer {
   LayerKind kind = LayerKind::kInput;
-  std::string name;            // NETWORK.md's module name, with which tests find the output
-  std::vector<Source> inputs = {};  // kConv concatenates them; kFusedConv: condition, x; kUpdate: h, x
-  int residual = -1;           // layer whose output is added before the activation, or -1
+  std::string name;  // NETWORK.md's module name, with which tests find the output
+  std::vector<Source> inputs =
+      {};             // kConv concatenates them; kFusedConv: condition, x; kUpdate: h, x
+  int residual = -1;  // layer whose output is added before the activation, or -1
   Shape output = {};
   int kernel = 1;
   int stride = 1;
   Padding padding = Padding::kZero;
   Activation activation = Activation::kNone;
-  int step = -1;                      // sampler step of kFusedConv and kUpdate
-  std::vector<Parameter> parameters = {};  // in the order weight, bias (kFusedConv: embed's, conv's)
-  std::int64_t macs = 0;              // multiply-adds
+  int step = -1;  // sampler step of kFusedConv and kUpdate
+  std::vector<Parameter> parameters =
+      {};                 // in the order weight, bias (kFusedConv: embed's, conv's)
+  std::int64_t macs = 0;  // multiply-adds
 };
 
 class Network {

@@ -1,0 +1,145 @@
+#include "firmware/nn/engine.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "firmware/vision/depth_to_millimetres.h"
+
+namespace lcdm {
+namespace {
+
+constexpr int kPixelBudget = 122880;  // 640 * 192, and nearly 384 * 288
+
+Status check_options(const EngineOptions& options, const CameraModel& camera) {
+  if (options.threads < 1 || options.threads > EngineOptions::kMaxThreads) {
+    return Status::error(StatusCode::kInvalidInput, "%d inference threads: choose 1 to %d",
+                         options.threads, EngineOptions::kMaxThreads);
+  }
+  if ((options.width == 0) != (options.height == 0)) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "network size %dx%d: give both sides, or neither", options.width,
+                         options.height);
+  }
+  const bool usable =
+      camera.width > 0 && camera.height > 0 && std::isfinite(camera.fx) && camera.fx > 0;
+  if (!usable) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "camera model %dx%d with fx %g: give its size and focal length",
+                         camera.width, camera.height, static_cast<double>(camera.fx));
+  }
+  return Status::ok();
+}
+
+}  // namespace
+
+NetworkSize choose_network_size(const CameraModel& camera) {
+  const double aspect = static_cast<double>(camera.width) / camera.height;
+  NetworkSize best;
+  double best_cost = 0;
+  for (int height = Network::kMinSide; height <= Network::kMaxSide; height += Network::kSizeStep) {
+    for (int width = Network::kMinSide; width <= Network::kMaxSide; width += Network::kSizeStep) {
+      // Both in octaves; a wrong shape distorts the picture, a wrong budget only costs time.
+      const double pixels =
+          std::fabs(std::log2(static_cast<double>(width) * height / kPixelBudget));
+      const double shape = std::fabs(std::log2(width / aspect / height));
+      const double cost = shape + pixels / 2;
+      if (best.width == 0 || cost < best_cost) {
+        best = {width, height};
+        best_cost = cost;
+      }
+    }
+  }
+  return best;
+}
+
+Result<std::unique_ptr<Engine>> Engine::prepare(const ModelFile& model,
+                                                const EngineOptions& options,
+                                                const FrameFormat& format,
+                                                const CameraModel& camera) {
+  LCDM_RETURN_IF_ERROR(check_options(options, camera));
+  const NetworkSize size =
+      options.width > 0 ? NetworkSize{options.width, options.height} : choose_network_size(camera);
+  Result<Network> network = Network::build(model.config(), size.width, size.height);
+  if (!network) return network.status();
+  LCDM_RETURN_IF_ERROR(network->check_weights(model));
+  Result<Preprocess> preprocess =
+      Preprocess::prepare(format, size.width, size.height, options.threads);
+  if (!preprocess) return preprocess.status();
+
+  const CameraModel depth_camera = camera.resized(size.width, size.height);
+  const float depth_scale = depth_camera.fx / static_cast<float>(model.config().canonical_focal);
+  Result<Program> program =
+      Program::build(*network, model, {options.threads, options.keep_tensors, depth_scale});
+  if (!program) return program.status();
+  return std::unique_ptr<Engine>(new Engine(std::move(*network), std::move(*program),
+                                            std::move(*preprocess), options, depth_camera, model));
+}
+
+Engine::Engine(Network network, Program program, Preprocess preprocess,
+               const EngineOptions& options, const CameraModel& depth_camera,
+               const ModelFile& model)
+    : network_(std::move(network)),
+      program_(std::move(program)),
+      preprocess_(std::move(preprocess)),
+      options_(options),
+      depth_camera_(depth_camera),
+      model_hash_(model.hash()),
+      pool_(options.threads) {}
+
+Status Engine::run(const FrameView& frame, const DepthBuffer& out) noexcept {
+  LCDM_RETURN_IF_ERROR(preprocess_.check(frame));
+  if (out.width != network_.width() || out.height != network_.height() ||
+      out.millimetres == nullptr) {
+    return Status::error(StatusCode::kInvalidInput, "depth buffer %dx%d: the engine writes %dx%d",
+                         out.width, out.height, network_.width(), network_.height());
+  }
+  pool_.run([&](int worker) {
+    const Slice rows = slice_of(network_.height(), worker, pool_.workers());
+    preprocess_.run_rows(frame, worker, rows.begin, rows.end, program_.input().data());
+  });
+  program_.run(pool_);
+  const std::span<const float> metres = program_.depth();
+  depth_to_millimetres(metres, {out.millimetres, metres.size()});
+  if (out.metres != nullptr) std::copy(metres.begin(), metres.end(), out.metres);
+  return Status::ok();
+}
+
+Result<std::span<const float>> Engine::run_network(std::span<const float> rgb) noexcept {
+  const std::span<float> input = program_.input();
+  if (rgb.size() != input.size()) {
+    return Status::error(StatusCode::kInvalidInput, "%zu input values, the network takes %zu",
+                         rgb.size(), input.size());
+  }
+  std::copy(rgb.begin(), rgb.end(), input.begin());
+  program_.run(pool_);
+  return std::span<const float>(program_.depth());
+}
+
+Result<std::span<const float>> Engine::tensor(std::string_view name) const {
+  if (!options_.keep_tensors) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "tensors are not kept: prepare the engine with keep_tensors");
+  }
+  const int index = network_.find(name);
+  if (index < 0) {
+    return Status::error(StatusCode::kNotFound, "no layer is called `%.80s`",
+                         std::string(name).c_str());
+  }
+  return std::span<const float>(program_.tensor(index));
+}
+
+EngineStats Engine::stats() const {
+  const ModelConfig& config = network_.config();
+  return {.arena_bytes = program_.arena_bytes(),
+          .weight_bytes = program_.constant_bytes(),
+          .macs = network_.macs(),
+          .width = network_.width(),
+          .height = network_.height(),
+          .threads = pool_.workers(),
+          .model_name = config.name,
+          .model_licence = config.licence,
+          .model_hash = model_hash_};
+}
+
+}  // namespace lcdm

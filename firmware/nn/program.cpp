@@ -1,0 +1,89 @@
+#include "firmware/nn/program.h"
+
+#include <algorithm>
+
+#include "firmware/nn/noise.h"
+
+namespace lcdm {
+namespace {
+
+constexpr std::size_t kBlockBytes = 1U << 20;
+
+std::size_t aligned(std::size_t bytes) {
+  return (bytes + MemoryPlan::kAlignment - 1) / MemoryPlan::kAlignment * MemoryPlan::kAlignment;
+}
+
+// The sampler's start, as a constant.
+Result<std::span<float>> make_start(const Network& network, ConstantStore& constants) {
+  const std::size_t count =
+      static_cast<std::size_t>(network.width()) * static_cast<std::size_t>(network.height());
+  Result<std::span<float>> start = constants.add(count);
+  if (start && network.config().start == StartKind::kNoise) {
+    fill_gaussian(network.config().seed, *start);
+  }
+  return start;
+}
+
+}  // namespace
+
+Result<std::span<float>> ConstantStore::add(std::size_t count) {
+  const std::size_t bytes = aligned(count * sizeof(float));
+  if (blocks_.empty() || blocks_.back().bytes() - used_ < bytes) {
+    Result<Arena> block = Arena::allocate(std::max(bytes, kBlockBytes));
+    if (!block) return block.status();
+    blocks_.push_back(std::move(*block));
+    used_ = 0;
+  }
+  const std::span<float> piece = blocks_.back().floats(used_, count);
+  used_ += bytes;
+  bytes_ += bytes;
+  return piece;
+}
+
+Result<Program> Program::build(const Network& network, const ModelFile& model,
+                               const Options& options) {
+  const NetworkPlan plan = plan_network(network, options.keep_tensors);
+  Program program;
+  Result<Arena> arena = Arena::allocate(plan.memory.bytes);
+  if (!arena) return arena.status();
+  program.arena_ = std::move(*arena);
+
+  for (std::size_t i = 0; i < network.layers().size(); ++i) {
+    const Layer& layer = network.layers()[i];
+    if (layer.kind == LayerKind::kStart) {
+      const Result<std::span<float>> start = make_start(network, program.constants_);
+      if (!start) return start.status();
+      program.tensors_.push_back(*start);
+    } else {
+      program.tensors_.push_back(
+          program.arena_.floats(plan.memory.offsets[i], layer.output.count()));
+    }
+  }
+  for (std::size_t i = 0; i < network.layers().size(); ++i) {
+    LCDM_RETURN_IF_ERROR(lower_layer(network, static_cast<int>(i), model, program.tensors_,
+                                     options.depth_scale, program.constants_, program.steps_));
+  }
+
+  std::size_t scratch_bytes = 0;
+  for (const auto& step : program.steps_) {
+    scratch_bytes = std::max(scratch_bytes, aligned(step->scratch_floats() * sizeof(float)));
+  }
+  Result<Arena> scratch =
+      Arena::allocate(scratch_bytes * static_cast<std::size_t>(options.workers));
+  if (!scratch) return scratch.status();
+  program.scratch_ = std::move(*scratch);
+  program.scratch_floats_ = scratch_bytes / sizeof(float);
+  return program;
+}
+
+void Program::run(WorkerPool& pool) const noexcept {
+  for (const auto& step : steps_) {
+    pool.run([&](int worker) {
+      const std::size_t offset = static_cast<std::size_t>(worker) * scratch_floats_;
+      float* scratch = scratch_.floats(offset * sizeof(float), scratch_floats_).data();
+      step->run(worker, pool.workers(), scratch);
+    });
+  }
+}
+
+}  // namespace lcdm

@@ -1,0 +1,81 @@
+// The network lowered to kernel calls: weights packed, every pointer fixed, ready to run blindly.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "firmware/base/status.h"
+#include "firmware/nn/arena.h"
+#include "firmware/nn/model_file.h"
+#include "firmware/nn/network.h"
+#include "firmware/nn/network_plan.h"
+#include "firmware/nn/worker_pool.h"
+
+namespace lcdm {
+
+// Memory that lives as long as the program: packed weights and constants. Hands out pieces of
+// large blocks; never gives one back before its own end.
+class ConstantStore {
+ public:
+  // Zeroed and aligned to MemoryPlan::kAlignment.
+  Result<std::span<float>> add(std::size_t count);
+  std::size_t bytes() const { return bytes_; }  // handed out
+
+ private:
+  std::vector<Arena> blocks_;
+  std::size_t used_ = 0;  // bytes of the last block
+  std::size_t bytes_ = 0;
+};
+
+// One kernel call, split among workers. Borrowed pointers into the program's memory.
+class Step {
+ public:
+  virtual ~Step() = default;
+  // Does part `worker` of `workers`, using `scratch` of at least scratch_floats().
+  virtual void run(int worker, int workers, float* scratch) const noexcept = 0;
+  virtual std::size_t scratch_floats() const { return 0; }
+};
+
+class Program {
+ public:
+  struct Options {
+    int workers = 1;
+    bool keep_tensors = false;
+    float depth_scale = 1;  // metres per canonical metre: fx of the network's input / f_c
+  };
+
+  // The model must have passed network.check_weights(); it may be dropped afterwards.
+  static Result<Program> build(const Network& network, const ModelFile& model,
+                               const Options& options);
+
+  // From the input tensor to the depth tensor. `pool` has the number of workers given above.
+  void run(WorkerPool& pool) const noexcept;
+
+  // The output of layer `index`; between runs only if it is input or depth, or tensors are kept.
+  std::span<float> tensor(int index) const { return tensors_[static_cast<std::size_t>(index)]; }
+  std::span<float> input() const { return tensors_.front(); }
+  std::span<float> depth() const { return tensors_.back(); }
+
+  std::size_t arena_bytes() const { return arena_.bytes() + scratch_.bytes(); }
+  std::size_t constant_bytes() const { return constants_.bytes(); }
+
+ private:
+  Program() = default;
+
+  Arena arena_;    // activations
+  Arena scratch_;  // scratch_floats_ per worker
+  ConstantStore constants_;
+  std::size_t scratch_floats_ = 0;
+  std::vector<std::span<float>> tensors_;  // per layer
+  std::vector<std::unique_ptr<Step>> steps_;
+};
+
+// Appends to `steps` what computes layer `index` (nothing for input and start); packs its weights
+// into `constants`. `tensors` holds every layer's output.
+Status lower_layer(const Network& network, int index, const ModelFile& model,
+                   const std::vector<std::span<float>>& tensors, float depth_scale,
+                   ConstantStore& constants, std::vector<std::unique_ptr<Step>>& steps);
+
+}  // namespace lcdm
