@@ -11,6 +11,7 @@ namespace {
 
 thread_local bool t_sealed = false;
 thread_local std::uint64_t t_allocations = 0;
+std::atomic<std::uint64_t> g_process_allocations{0};
 std::atomic<std::uint64_t> g_sealed_allocations{0};
 std::atomic<bool> g_abort{false};
 std::atomic<bool> g_hooked{false};
@@ -32,6 +33,9 @@ void write_text(const char* text) {
 
 bool hooked() { return g_hooked.load(std::memory_order_relaxed); }
 std::uint64_t thread_allocations() { return t_allocations; }
+std::uint64_t process_allocations() {
+  return g_process_allocations.load(std::memory_order_relaxed);
+}
 void seal_thread() { t_sealed = true; }
 void unseal_thread() { t_sealed = false; }
 std::uint64_t sealed_allocations() { return g_sealed_allocations.load(std::memory_order_relaxed); }
@@ -40,6 +44,7 @@ void note_hooked() noexcept { g_hooked.store(true, std::memory_order_relaxed); }
 
 void note_allocation() noexcept {
   ++t_allocations;
+  g_process_allocations.fetch_add(1, std::memory_order_relaxed);
   if (!t_sealed) return;
   g_sealed_allocations.fetch_add(1, std::memory_order_relaxed);
   if (g_abort.load(std::memory_order_relaxed)) {

@@ -13,6 +13,9 @@ bool hooked();
 // Allocations made by the calling thread since it began.
 std::uint64_t thread_allocations();
 
+// Allocations made by all threads since the program began.
+std::uint64_t process_allocations();
+
 // Marks the calling thread's steady state. Reversible, for orderly shutdown.
 void seal_thread();
 void unseal_thread();

@@ -1,0 +1,313 @@
+// The way of a frame:
+//
+//   camera --dequeue--> capture thread --mailbox, newest wins--> infer thread --offer--> sinks
+//      ^                     |                                       |
+//      +------requeue--------+<------ a dropped FrameRef comes back -+
+//
+// Buffers are never copied on the way: a FrameRef moves, and its last drop returns the buffer to
+// the capture thread. At most three are away from the driver: one waiting, one in work, one that
+// is being replaced.
+#include "firmware/pipeline/pipeline.h"
+
+#include <algorithm>
+#include <cstdio>
+#include <utility>
+
+#include "firmware/base/alloc_watch.h"
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+using std::chrono::milliseconds;
+
+// Both bound how long stop() takes.
+constexpr milliseconds kDequeueTimeout{100};
+constexpr milliseconds kTakeTimeout{200};
+// After a broken frame, so that a source of nothing but broken frames does not spin.
+constexpr milliseconds kPauseAfterCorrupt{5};
+
+bool same_view(const CameraModel& a, const CameraModel& b) {
+  return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy &&
+         a.cx == b.cx && a.cy == b.cy && a.calibrated == b.calibrated;
+}
+
+}  // namespace
+
+Pipeline::Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* decoder,
+                   std::vector<DepthSink*> sinks, PipelineOptions options)
+    : camera_(camera),
+      make_engine_(std::move(make_engine)),
+      decoder_(decoder),
+      sinks_(std::move(sinks)),
+      options_(options) {}
+
+Status Pipeline::start() {
+  LCDM_CHECK(!infer_thread_.joinable());
+  health_.set_state(PipelineState::kStarting);
+  Status status = configure_camera();
+  if (status) status = prepare_engine(source());
+  if (status) status = camera_.start();
+  if (!status) {
+    camera_.stop();
+    health_.set_state(PipelineState::kStopped);
+    return status;
+  }
+  stopping_ = false;
+  prepared_generation_ = generation_;
+  infer_thread_ = std::thread([this] { infer_loop(); });
+  capture_thread_ = std::thread([this] { capture_loop(); });
+  return Status::ok();
+}
+
+void Pipeline::stop() {
+  stopping_ = true;
+  mailbox_.close();
+  if (capture_thread_.joinable()) capture_thread_.join();
+  if (infer_thread_.joinable()) infer_thread_.join();
+  health_.set_state(PipelineState::kStopped);
+}
+
+// ---- capture thread -----------------------------------------------------------------------------
+
+void Pipeline::capture_loop() {
+  os::set_thread_name("capture");
+  last_frame_ns_ = os::monotonic_ns();
+  bool more = true;
+  while (more && !stopping_) {
+    health_.beat_capture(os::monotonic_ns());
+    give_back_returned();
+    const Result<CapturedFrame> captured = camera_.dequeue(kDequeueTimeout);
+    if (captured) {
+      forward(*captured);
+    } else {
+      more = survive(captured.status());
+    }
+  }
+  alloc_watch::unseal_thread();
+  close_camera();
+}
+
+void Pipeline::forward(const CapturedFrame& captured) {
+  last_frame_ns_ = os::monotonic_ns();
+  health_.note_captured(captured.view.meta.sequence);
+  mailbox_.put({pool_->lend(captured.index, captured.view), generation_});
+  health_.set_dropped(mailbox_.overwrites());
+  if (options_.seal_capture) alloc_watch::seal_thread();  // steady from here on
+}
+
+void Pipeline::give_back_returned() {
+  while (const std::optional<int> index = pool_->take_returned()) {
+    // A camera that refuses its own buffer is failing: the next dequeue says how.
+    [[maybe_unused]] const Status status = camera_.requeue(*index);
+  }
+}
+
+// What no frame means. False: the source has ended, for good.
+bool Pipeline::survive(const Status& status) {
+  switch (status.code()) {
+    case StatusCode::kTimeout:
+      health_.note_timeout();
+      judge_silence(status);
+      return true;
+    case StatusCode::kCorrupt:
+      health_.note_corrupt();
+      judge_silence(status);
+      std::this_thread::sleep_for(kPauseAfterCorrupt);
+      return true;
+    case StatusCode::kEndOfStream:
+      wait_until_nothing_is_lent();
+      health_.set_state(PipelineState::kFinished);
+      return false;
+    default:
+      recover(status);
+      return true;
+  }
+}
+
+// Declares the wait for the camera, and reopens it when it lasts.
+void Pipeline::judge_silence(const Status& status) {
+  const auto silence = std::chrono::nanoseconds(os::monotonic_ns() - last_frame_ns_);
+  if (silence < options_.no_signal_after) return;
+  health_.set_state(PipelineState::kNoSignal);
+  set_fault(status.text());
+  if (silence >= options_.reopen_after) recover(status);
+}
+
+// Closes the camera and opens it again, waiting ever longer between attempts, until it is back or
+// the pipeline stops. The outputs stay up meanwhile and say `no signal`.
+void Pipeline::recover(const Status& fault) {
+  alloc_watch::unseal_thread();
+  close_camera();
+  health_.set_state(PipelineState::kNoSignal);
+  set_fault(fault.text());
+  milliseconds backoff = options_.first_backoff;
+  while (wait_unless_stopping(backoff)) {
+    Status status = configure_camera();
+    if (status) status = camera_.start();
+    if (status) {
+      health_.note_reopened();
+      break;
+    }
+    camera_.stop();
+    set_fault(status.text());
+    backoff = std::min(backoff * 2, options_.last_backoff);
+  }
+  last_frame_ns_ = os::monotonic_ns();
+}
+
+void Pipeline::close_camera() {
+  mailbox_.clear();
+  wait_until_nothing_is_lent();
+  camera_.stop();
+}
+
+// Ends within one inference: the infer thread never holds a frame longer.
+void Pipeline::wait_until_nothing_is_lent() {
+  while (pool_->count(FramePool::State::kLent) > 0) {
+    health_.beat_capture(os::monotonic_ns());
+    std::this_thread::sleep_for(milliseconds(2));
+  }
+}
+
+// False as soon as the pipeline stops.
+bool Pipeline::wait_unless_stopping(milliseconds time) {
+  const std::int64_t end = os::monotonic_ns() + std::chrono::nanoseconds(time).count();
+  while (!stopping_ && os::monotonic_ns() < end) {
+    health_.beat_capture(os::monotonic_ns());
+    std::this_thread::sleep_for(std::min(time, milliseconds(20)));
+  }
+  return !stopping_;
+}
+
+// Opens the camera and makes a new generation of buffers. Nothing may be lent.
+Status Pipeline::configure_camera() {
+  LCDM_RETURN_IF_ERROR(camera_.configure(options_.request));
+  pool_.emplace(camera_.buffer_count());
+  ++generation_;
+  const std::lock_guard lock(mutex_);
+  source_ = {camera_.info(), camera_.format(), camera_.model()};
+  return Status::ok();
+}
+
+// ---- infer thread -------------------------------------------------------------------------------
+
+void Pipeline::infer_loop() {
+  os::set_thread_name("infer");
+  last_depth_ns_ = os::monotonic_ns();
+  while (!stopping_) {
+    health_.beat_infer(os::monotonic_ns());
+    const std::optional<Captured> captured = mailbox_.take(kTakeTimeout);
+    if (!captured || stopping_) continue;
+    if (captured->generation != prepared_generation_) follow_source(captured->generation);
+    alloc_watch::seal_thread();  // steady from here on
+    if (const Status status = infer(captured->frame.view()); !status) note_fault(status);
+  }
+  alloc_watch::unseal_thread();
+}
+
+// Frames come, but no depth: one is a count, a silence is a state.
+void Pipeline::note_fault(const Status& status) {
+  status.code() == StatusCode::kCorrupt ? health_.note_corrupt() : health_.note_failed();
+  const auto silence = std::chrono::nanoseconds(os::monotonic_ns() - last_depth_ns_);
+  if (silence < options_.no_signal_after) return;
+  health_.set_state(PipelineState::kNoSignal);
+  set_fault(status.text());
+}
+
+// The camera was opened again: when it looks different now, the engine is made anew for it.
+void Pipeline::follow_source(std::uint64_t generation) {
+  alloc_watch::unseal_thread();
+  prepared_generation_ = generation;
+  // Stable while a frame is lent: the capture thread reopens only when none is.
+  const Source now = source();
+  if (engine_ && now.format == prepared_format_ && same_view(now.model, prepared_model_)) return;
+  engine_status_ = prepare_engine(now);
+}
+
+// Makes decoder, engine and depth image for `source`. On error there is no engine, and every
+// frame of this source counts as failed.
+Status Pipeline::prepare_engine(const Source& source) {
+  engine_.reset();  // its memory first: two may not fit
+  prepared_format_ = source.format;
+  prepared_model_ = source.model;
+  FrameFormat pixels = source.format;
+  if (pixels.pixel == PixelFormat::kMjpeg) {
+    if (decoder_ == nullptr) {
+      return Status::error(StatusCode::kUnsupported, "%s delivers MJPEG, and there is no decoder",
+                           source.info.uri.c_str());
+    }
+    const Result<FrameFormat> decoded = decoder_->prepare(source.format);
+    if (!decoded) return decoded.status();
+    pixels = *decoded;
+  }
+  Result<std::unique_ptr<Engine>> made = make_engine_(pixels, source.model);
+  if (!made) return made.status();
+  engine_ = std::move(*made);
+  const CameraModel& depth = engine_->depth_camera();
+  millimetres_.assign(static_cast<std::size_t>(depth.width) * depth.height, 0);
+  const std::lock_guard lock(mutex_);
+  stats_ = engine_->stats();
+  depth_camera_ = depth;
+  scale_ = engine_->scale();
+  return Status::ok();
+}
+
+Status Pipeline::infer(const FrameView& captured) {
+  if (!engine_) return engine_status_;
+  FrameView colour = captured;
+  if (captured.format.pixel == PixelFormat::kMjpeg) {
+    alloc_watch::unseal_thread();  // a JPEG library allocates its small tables for every picture
+    const Result<FrameView> decoded = decoder_->decode(captured);
+    alloc_watch::seal_thread();
+    if (!decoded) return decoded.status();
+    colour = *decoded;
+  }
+  DepthFrame frame;
+  frame.meta = captured.meta;
+  frame.camera = engine_->depth_camera();
+  frame.scale = engine_->scale();
+  frame.millimetres = millimetres_.data();
+  frame.colour = colour;
+  const std::int64_t begin_ns = os::monotonic_ns();
+  LCDM_RETURN_IF_ERROR(engine_->run(
+      colour, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
+  frame.done_ns = os::monotonic_ns();
+  frame.inference_ns = frame.done_ns - begin_ns;
+  deliver(frame);
+  return Status::ok();
+}
+
+void Pipeline::deliver(const DepthFrame& frame) {
+  last_depth_ns_ = frame.done_ns;
+  for (DepthSink* sink : sinks_) sink->offer(frame);
+  health_.note_inferred(frame.meta.sequence, frame.meta.sensor_ns, frame.inference_ns,
+                        frame.done_ns);
+  if (health_.state() == PipelineState::kStreaming) return;
+  health_.set_state(PipelineState::kStreaming);
+  set_fault("");
+}
+
+// ---- any thread ---------------------------------------------------------------------------------
+
+Pipeline::Source Pipeline::source() const {
+  const std::lock_guard lock(mutex_);
+  return source_;
+}
+
+Pipeline::EngineView Pipeline::engine() const {
+  const std::lock_guard lock(mutex_);
+  return {stats_, depth_camera_, scale_};
+}
+
+std::string Pipeline::fault() const {
+  const std::lock_guard lock(mutex_);
+  return fault_;
+}
+
+void Pipeline::set_fault(const char* text) {
+  const std::lock_guard lock(mutex_);
+  std::snprintf(fault_, sizeof(fault_), "%s", text);
+}
+
+}  // namespace lcdm

@@ -1,0 +1,142 @@
+// From camera to sinks: two threads and one hand-off. Read pipeline.cpp from the top.
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "firmware/base/status.h"
+#include "firmware/buffer/frame_pool.h"
+#include "firmware/buffer/mailbox.h"
+#include "firmware/health/health.h"
+#include "firmware/nn/engine.h"
+#include "firmware/pipeline/camera.h"
+#include "firmware/pipeline/depth_sink.h"
+#include "firmware/pipeline/frame_decoder.h"
+
+namespace lcdm {
+
+struct PipelineOptions {
+  CaptureRequest request;
+  // False for sources whose library allocates per frame (files, recordings): the capture thread
+  // then stays outside the promise not to allocate.
+  bool seal_capture = true;
+  // How long without a frame until the state says `no signal`, and until the source is reopened.
+  std::chrono::milliseconds no_signal_after{1500};
+  std::chrono::milliseconds reopen_after{4000};
+  // The wait before a reopening that failed is tried again: doubles from first to last.
+  std::chrono::milliseconds first_backoff{100};
+  std::chrono::milliseconds last_backoff{2000};
+};
+
+// Threads: the owner's thread calls the constructor, start and stop. `capture` is the only caller
+// of the camera after start. `infer` decodes, runs the engine and calls the sinks. The rest is for
+// any thread.
+class Pipeline {
+ public:
+  // Makes the engine for a camera. Called by start, and on the infer thread when a camera comes
+  // back with another format or model.
+  using EngineFactory =
+      std::function<Result<std::unique_ptr<Engine>>(const FrameFormat&, const CameraModel&)>;
+
+  // What the camera says about itself.
+  struct Source {
+    CameraInfo info;
+    FrameFormat format;
+    CameraModel model;
+  };
+
+  // What the engine says about itself.
+  struct EngineView {
+    EngineStats stats;
+    CameraModel depth_camera;
+    ScaleKind scale = ScaleKind::kRelative;
+  };
+
+  // The camera, the decoder (null: the source is never compressed) and the sinks are borrowed and
+  // must outlive the pipeline.
+  Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* decoder,
+           std::vector<DepthSink*> sinks, PipelineOptions options);
+  ~Pipeline() { stop(); }
+  Pipeline(const Pipeline&) = delete;
+  Pipeline& operator=(const Pipeline&) = delete;
+
+  // Opens the camera, prepares everything, starts the threads. On error nothing runs. Once only.
+  Status start();
+  // Ends and joins both threads: after the frame in work, and within one dequeue time-out. Again
+  // is harmless.
+  void stop();
+
+  const Health& health() const { return health_; }
+  Source source() const;
+  EngineView engine() const;
+  // Why the newest fault happened, for the status; empty when all is well.
+  std::string fault() const;
+
+ private:
+  struct Captured {
+    FrameRef frame;
+    std::uint64_t generation = 0;  // of the source that gave it
+  };
+
+  // Capture thread (and start, before it exists).
+  void capture_loop();
+  void forward(const CapturedFrame& captured);
+  void give_back_returned();
+  bool survive(const Status& status);
+  void judge_silence(const Status& status);
+  void recover(const Status& fault);
+  void close_camera();
+  void wait_until_nothing_is_lent();
+  bool wait_unless_stopping(std::chrono::milliseconds time);
+  Status configure_camera();
+
+  // Infer thread (and start, before it exists).
+  void infer_loop();
+  void follow_source(std::uint64_t generation);
+  Status prepare_engine(const Source& source);
+  Status infer(const FrameView& captured);
+  void deliver(const DepthFrame& frame);
+  void note_fault(const Status& status);
+
+  void set_fault(const char* text);
+
+  Camera& camera_;
+  const EngineFactory make_engine_;
+  FrameDecoder* const decoder_;
+  const std::vector<DepthSink*> sinks_;
+  const PipelineOptions options_;
+
+  std::atomic<bool> stopping_{false};
+  Health health_;
+  Mailbox<Captured> mailbox_;
+  std::optional<FramePool> pool_;   // capture thread; replaced only while nothing is lent
+  std::uint64_t generation_ = 0;    // capture thread; counts openings
+  std::int64_t last_frame_ns_ = 0;  // capture thread
+
+  std::unique_ptr<Engine> engine_;          // infer thread; null: none for this source
+  Status engine_status_;                    // infer thread; why there is none
+  std::int64_t last_depth_ns_ = 0;          // infer thread
+  std::vector<std::uint16_t> millimetres_;  // infer thread; [height * width] of depth
+  FrameFormat prepared_format_;             // infer thread; the camera's, before decoding
+  CameraModel prepared_model_;              // infer thread
+  std::uint64_t prepared_generation_ = 0;   // infer thread
+
+  mutable std::mutex mutex_;  // guards what follows
+  Source source_;
+  EngineStats stats_;
+  CameraModel depth_camera_;
+  ScaleKind scale_ = ScaleKind::kRelative;
+  char fault_[Status::kMaxText] = {};
+
+  std::thread capture_thread_;
+  std::thread infer_thread_;
+};
+
+}  // namespace lcdm

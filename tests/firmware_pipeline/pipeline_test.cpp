@@ -1,0 +1,384 @@
+// The pipeline against a camera that misbehaves in every way a camera can.
+#include "firmware/pipeline/pipeline.h"
+
+#include <chrono>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include "firmware/base/os.h"
+#include "tests/firmware_pipeline/fake_camera.h"
+#include "tests/firmware_pipeline/tiny_engine.h"
+
+namespace lcdm {
+namespace {
+
+using std::chrono::milliseconds;
+using test::FakeCamera;
+using testing::HasSubstr;
+
+// Remembers what it was offered.
+class RecordingSink final : public DepthSink {
+ public:
+  void offer(const DepthFrame& frame) noexcept override {
+    busy = true;
+    {
+      const std::lock_guard lock(mutex_);
+      sequences_.push_back(frame.meta.sequence);
+      last_ = frame;
+    }
+    std::this_thread::sleep_for(work);
+    busy = false;
+  }
+  std::vector<std::uint64_t> sequences() const {
+    const std::lock_guard lock(mutex_);
+    return sequences_;
+  }
+  std::size_t count() const { return sequences().size(); }
+  DepthFrame last() const {
+    const std::lock_guard lock(mutex_);
+    return last_;
+  }
+
+  milliseconds work{0};  // takes this long over a frame, against the rules
+  std::atomic<bool> busy{false};
+
+ private:
+  mutable std::mutex mutex_;
+  std::vector<std::uint64_t> sequences_;
+  DepthFrame last_;
+};
+
+class PipelineTest : public testing::Test {
+ protected:
+  static PipelineOptions fast() {
+    PipelineOptions options;
+    options.no_signal_after = milliseconds(150);
+    options.reopen_after = milliseconds(600);
+    options.first_backoff = milliseconds(20);
+    options.last_backoff = milliseconds(80);
+    return options;
+  }
+
+  void make(PipelineOptions options = fast(), FrameDecoder* decoder = nullptr) {
+    pipeline_ = std::make_unique<Pipeline>(camera_, test::tiny_engine(), decoder,
+                                           std::vector<DepthSink*>{&sink_}, options);
+  }
+  void start(PipelineOptions options = fast(), FrameDecoder* decoder = nullptr) {
+    make(options, decoder);
+    const Status status = pipeline_->start();
+    ASSERT_TRUE(status.is_ok()) << status.text();
+  }
+
+  // Polls until the condition holds; false after five seconds.
+  template <typename Condition>
+  static bool eventually(Condition&& condition) {
+    for (int i = 0; i < 1000; ++i) {
+      if (condition()) return true;
+      std::this_thread::sleep_for(milliseconds(5));
+    }
+    return false;
+  }
+  bool reaches(PipelineState state) {
+    return eventually([&] { return pipeline_->health().state() == state; });
+  }
+  bool delivers(std::size_t more) {
+    const std::size_t target = sink_.count() + more;
+    return eventually([&] { return sink_.count() >= target; });
+  }
+  HealthSnapshot health() const { return pipeline_->health().snapshot(os::monotonic_ns()); }
+
+  FakeCamera camera_;
+  RecordingSink sink_;
+  std::unique_ptr<Pipeline> pipeline_;
+};
+
+Status timeout() { return Status::error(StatusCode::kTimeout, "fake: nothing came"); }
+
+TEST_F(PipelineTest, FramesBecomeDepthInOrder) {
+  start();
+  ASSERT_TRUE(delivers(20));
+  pipeline_->stop();
+  const auto sequences = sink_.sequences();
+  for (std::size_t i = 1; i < sequences.size(); ++i) EXPECT_GT(sequences[i], sequences[i - 1]);
+  const DepthFrame frame = sink_.last();
+  EXPECT_EQ(frame.camera.width, 64);
+  EXPECT_EQ(frame.camera.height, 64);
+  EXPECT_EQ(frame.colour.format.width, 64);
+  EXPECT_EQ(frame.colour.format.height, 48);
+  EXPECT_GT(frame.inference_ns, 0);
+  EXPECT_GE(frame.done_ns, frame.meta.sensor_ns);
+}
+
+TEST_F(PipelineTest, HealthTellsWhatHappens) {
+  make();
+  EXPECT_EQ(health().state, PipelineState::kStopped);
+  ASSERT_TRUE(pipeline_->start().is_ok());
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  ASSERT_TRUE(delivers(20));
+  const HealthSnapshot now = health();
+  EXPECT_GT(now.frames_per_second, 0);
+  EXPECT_GE(now.frame_age_ns, 0);
+  EXPECT_LT(now.frame_age_ns, 1'000'000'000);
+  EXPECT_GT(now.inference_p50_ns, 0);
+  EXPECT_GE(now.inference_p99_ns, now.inference_p50_ns);
+  EXPECT_GE(now.captured, now.inferred);
+  EXPECT_GE(now.capture_heartbeat_age_ns, 0);
+  EXPECT_GE(now.infer_heartbeat_age_ns, 0);
+  EXPECT_EQ(pipeline_->fault(), "");
+  EXPECT_EQ(pipeline_->source().info.uri, "fake:");
+  EXPECT_GT(pipeline_->engine().stats.arena_bytes, 0U);
+  pipeline_->stop();
+  EXPECT_EQ(health().state, PipelineState::kStopped);
+}
+
+TEST_F(PipelineTest, ASlowConsumerLosesOldFramesNotTime) {
+  sink_.work = milliseconds(40);
+  start();
+  ASSERT_TRUE(delivers(10));
+  const std::int64_t age = os::monotonic_ns() - sink_.last().meta.sensor_ns;
+  EXPECT_LT(age, 300'000'000) << "the newest frame, not the oldest of a queue";
+  EXPECT_GT(health().dropped, 10U);
+  pipeline_->stop();
+}
+
+TEST_F(PipelineTest, AShortSilenceIsOnlyCounted) {
+  camera_.on_dequeue = [](int call) { return call == 5 ? timeout() : Status::ok(); };
+  start();
+  ASSERT_TRUE(delivers(20));
+  EXPECT_EQ(health().timeouts, 1U);
+  EXPECT_EQ(health().reopened, 0U);
+  EXPECT_EQ(health().state, PipelineState::kStreaming);
+}
+
+TEST_F(PipelineTest, ALongerSilenceIsDeclaredAndEndsByItself) {
+  std::atomic<bool> silent{false};
+  camera_.on_dequeue = [&](int) { return silent ? timeout() : Status::ok(); };
+  start();
+  ASSERT_TRUE(delivers(3));
+  silent = true;
+  ASSERT_TRUE(reaches(PipelineState::kNoSignal));
+  EXPECT_THAT(pipeline_->fault(), HasSubstr("nothing came"));
+  EXPECT_GT(health().frame_age_ns, 100'000'000) << "the age of the last frame is told";
+  silent = false;
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_EQ(pipeline_->fault(), "");
+  EXPECT_EQ(health().reopened, 0U);
+  pipeline_->stop();
+}
+
+TEST_F(PipelineTest, ASilenceWithoutEndReopensTheCamera) {
+  camera_.on_dequeue = [this](int) { return camera_.configured == 1 ? timeout() : Status::ok(); };
+  start();
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_EQ(camera_.configured, 2);
+  EXPECT_EQ(health().reopened, 1U);
+}
+
+class PipelineFault : public PipelineTest, public testing::WithParamInterface<StatusCode> {};
+
+TEST_P(PipelineFault, AFailingCameraIsClosedAndOpenedAgain) {
+  camera_.on_dequeue = [this](int call) {
+    if (call == 10) return Status::error(GetParam(), "fake: unplugged");
+    return Status::ok();
+  };
+  start();
+  ASSERT_TRUE(eventually([&] { return camera_.configured == 2; }));
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  ASSERT_TRUE(delivers(20));
+  EXPECT_EQ(health().reopened, 1U);
+  EXPECT_EQ(health().sequence_gaps, 0U) << "counting anew is no gap";
+  EXPECT_EQ(pipeline_->fault(), "");
+}
+
+INSTANTIATE_TEST_SUITE_P(EveryCode, PipelineFault,
+                         testing::Values(StatusCode::kDeviceGone, StatusCode::kIoError,
+                                         StatusCode::kUnavailable));
+
+TEST_F(PipelineTest, TheCameraIsClosedOnlyWhenNobodyReadsItsFrames) {
+  sink_.work = milliseconds(30);
+  std::atomic<int> closed_under_a_reader{0};
+  camera_.on_stop = [&] { closed_under_a_reader += sink_.busy ? 1 : 0; };
+  camera_.on_dequeue = [](int call) {
+    return call % 10 == 9 ? Status::error(StatusCode::kDeviceGone, "fake: unplugged")
+                          : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(eventually([&] { return camera_.stopped >= 4; }));
+  pipeline_->stop();
+  EXPECT_EQ(closed_under_a_reader, 0);
+}
+
+TEST_F(PipelineTest, ACameraThatStaysAwayIsTriedForEver) {
+  std::atomic<bool> away{false};
+  camera_.on_dequeue = [&](int) {
+    return away ? Status::error(StatusCode::kDeviceGone, "fake: unplugged") : Status::ok();
+  };
+  camera_.on_configure = [&](int) {
+    return away ? Status::error(StatusCode::kNotFound, "fake: plug it in") : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(delivers(3));
+  away = true;
+  ASSERT_TRUE(eventually([&] { return camera_.configured >= 6; }));
+  EXPECT_EQ(health().state, PipelineState::kNoSignal);
+  EXPECT_THAT(pipeline_->fault(), HasSubstr("plug it in"));
+  EXPECT_FALSE(camera_.running);
+  away = false;
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_EQ(health().reopened, 1U) << "attempts that failed do not count";
+}
+
+TEST_F(PipelineTest, ACameraThatComesBackDifferentGetsANewEngine) {
+  camera_.format_of = [](int call) {
+    return call == 0 ? FrameFormat{PixelFormat::kRgb24, 64, 48, 64 * 3}
+                     : FrameFormat{PixelFormat::kYuyv, 96, 48, 96 * 2};
+  };
+  camera_.on_dequeue = [](int call) {
+    return call == 10 ? Status::error(StatusCode::kDeviceGone, "fake: unplugged") : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(eventually([&] { return sink_.last().colour.format.pixel == PixelFormat::kYuyv; }));
+  ASSERT_TRUE(delivers(10));
+  EXPECT_EQ(pipeline_->source().format.width, 96);
+  EXPECT_EQ(health().failed, 0U);
+}
+
+TEST_F(PipelineTest, BrokenFramesAreCountedAndPassedOver) {
+  camera_.on_dequeue = [](int call) {
+    return call % 3 == 0 ? Status::error(StatusCode::kCorrupt, "fake: broken") : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(delivers(10));
+  EXPECT_GE(health().corrupt, 4U);
+  EXPECT_EQ(health().state, PipelineState::kStreaming);
+  EXPECT_EQ(health().reopened, 0U);
+}
+
+TEST_F(PipelineTest, NothingButBrokenFramesIsNoSignal) {
+  camera_.on_dequeue = [](int call) {
+    return call > 10 ? Status::error(StatusCode::kCorrupt, "fake: broken") : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(reaches(PipelineState::kNoSignal));
+  EXPECT_THAT(pipeline_->fault(), HasSubstr("broken"));
+}
+
+TEST_F(PipelineTest, AFiniteSourceEndsAfterItsLastDepth) {
+  camera_.on_dequeue = [](int call) {
+    std::this_thread::sleep_for(milliseconds(30));  // slower than the engine: nothing is skipped
+    return call < 5 ? Status::ok() : Status::error(StatusCode::kEndOfStream, "fake: the end");
+  };
+  start();
+  ASSERT_TRUE(reaches(PipelineState::kFinished));
+  EXPECT_EQ(sink_.sequences(), (std::vector<std::uint64_t>{0, 1, 2, 3, 4}));
+}
+
+TEST_F(PipelineTest, LostFramesOfTheSourceAreGaps) {
+  Health health;
+  for (const std::uint64_t sequence : {7U, 8U, 11U, 12U, 20U}) health.note_captured(sequence);
+  EXPECT_EQ(health.snapshot(0).sequence_gaps, 2U + 7U);
+}
+
+TEST_F(PipelineTest, AMissingCameraIsAnErrorOfStart) {
+  camera_.on_configure = [](int) {
+    return Status::error(StatusCode::kNotFound, "fake: plug it in");
+  };
+  make();
+  const Status status = pipeline_->start();
+  EXPECT_EQ(status.code(), StatusCode::kNotFound);
+  EXPECT_EQ(health().state, PipelineState::kStopped);
+  EXPECT_EQ(camera_.started, 0);
+}
+
+TEST_F(PipelineTest, ACameraThatDoesNotStartIsClosed) {
+  camera_.on_start = [](int) { return Status::error(StatusCode::kIoError, "fake: no bandwidth"); };
+  make();
+  EXPECT_EQ(pipeline_->start().code(), StatusCode::kIoError);
+  EXPECT_EQ(camera_.stopped, 1);
+}
+
+TEST_F(PipelineTest, AnEngineThatCannotBeMadeIsAnErrorOfStart) {
+  Pipeline pipeline(
+      camera_,
+      [](const FrameFormat&, const CameraModel&) -> Result<std::unique_ptr<Engine>> {
+        return Status::error(StatusCode::kInvalidInput, "fake: no such size");
+      },
+      nullptr, {&sink_}, fast());
+  EXPECT_EQ(pipeline.start().code(), StatusCode::kInvalidInput);
+  EXPECT_FALSE(camera_.running);
+  EXPECT_EQ(camera_.stopped, 1) << "nothing stays open";
+}
+
+TEST_F(PipelineTest, StopsWithinASecondInEveryState) {
+  PipelineOptions options = fast();
+  options.first_backoff = options.last_backoff = milliseconds(60'000);
+  std::atomic<bool> away{false};
+  camera_.on_dequeue = [&](int) {
+    return away ? Status::error(StatusCode::kDeviceGone, "fake: unplugged") : Status::ok();
+  };
+  for (const bool waiting : {false, true}) {
+    away = false;
+    start(options);
+    ASSERT_TRUE(delivers(2));
+    away = waiting;
+    if (waiting) {
+      ASSERT_TRUE(reaches(PipelineState::kNoSignal));
+    }
+    const std::int64_t begin = os::monotonic_ns();
+    pipeline_->stop();
+    EXPECT_LT(os::monotonic_ns() - begin, 1'000'000'000) << "waiting: " << waiting;
+    EXPECT_FALSE(camera_.running);
+    pipeline_->stop();  // again is harmless
+  }
+}
+
+// Gives RGB of the frame's size; every third frame is "broken".
+class FakeDecoder final : public FrameDecoder {
+ public:
+  Result<FrameFormat> prepare(const FrameFormat& compressed) override {
+    format_ = {PixelFormat::kRgb24, compressed.width, compressed.height, compressed.width * 3};
+    pixels_.assign(
+        static_cast<std::size_t>(format_.stride) * static_cast<std::size_t>(format_.height), 50);
+    return format_;
+  }
+  Result<FrameView> decode(const FrameView& frame) noexcept override {
+    if (++calls_ % 3 == 0 || all_broken) {
+      return Status::error(StatusCode::kCorrupt, "fake: broken JPEG");
+    }
+    return FrameView{format_, frame.meta, pixels_.data(), pixels_.size()};
+  }
+
+  std::atomic<bool> all_broken{false};
+
+ private:
+  FrameFormat format_;
+  std::vector<std::uint8_t> pixels_;
+  int calls_ = 0;
+};
+
+TEST_F(PipelineTest, CompressedFramesAreDecodedFirst) {
+  camera_.format_of = [](int) { return FrameFormat{PixelFormat::kMjpeg, 80, 60, 0}; };
+  FakeDecoder decoder;
+  start(fast(), &decoder);
+  ASSERT_TRUE(delivers(10));
+  EXPECT_EQ(sink_.last().colour.format.pixel, PixelFormat::kRgb24);
+  EXPECT_EQ(sink_.last().colour.format.width, 80);
+  EXPECT_GT(health().corrupt, 2U);
+  EXPECT_EQ(health().state, PipelineState::kStreaming);
+  decoder.all_broken = true;
+  ASSERT_TRUE(reaches(PipelineState::kNoSignal)) << "frames come, but none can be used";
+  EXPECT_THAT(pipeline_->fault(), HasSubstr("broken JPEG"));
+  pipeline_->stop();
+}
+
+TEST_F(PipelineTest, CompressedFramesWithoutADecoderAreRefused) {
+  camera_.format_of = [](int) { return FrameFormat{PixelFormat::kMjpeg, 80, 60, 0}; };
+  make();
+  EXPECT_EQ(pipeline_->start().code(), StatusCode::kUnsupported);
+}
+
+}  // namespace
+}  // namespace lcdm
