@@ -255,23 +255,24 @@ Status Pipeline::prepare_engine(const Source& source) {
 
 Status Pipeline::infer(const FrameView& captured) {
   if (!engine_) return engine_status_;
-  FrameView colour = captured;
+  FrameView pixels = captured;
   if (captured.format.pixel == PixelFormat::kMjpeg) {
     alloc_watch::unseal_thread();  // a JPEG library allocates its small tables for every picture
     const Result<FrameView> decoded = decoder_->decode(captured);
     alloc_watch::seal_thread();
     if (!decoded) return decoded.status();
-    colour = *decoded;
+    pixels = *decoded;
   }
   DepthFrame frame;
   frame.meta = captured.meta;
   frame.camera = engine_->depth_camera();
   frame.scale = engine_->scale();
   frame.millimetres = millimetres_.data();
-  frame.colour = colour;
+  frame.colour = captured;
+  frame.pixels = pixels;
   const std::int64_t begin_ns = os::monotonic_ns();
   LCDM_RETURN_IF_ERROR(engine_->run(
-      colour, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
+      pixels, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
   frame.done_ns = os::monotonic_ns();
   frame.inference_ns = frame.done_ns - begin_ns;
   deliver(frame);

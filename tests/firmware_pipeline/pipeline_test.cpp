@@ -364,8 +364,9 @@ TEST_F(PipelineTest, CompressedFramesAreDecodedFirst) {
   FakeDecoder decoder;
   start(fast(), &decoder);
   ASSERT_TRUE(delivers(10));
-  EXPECT_EQ(sink_.last().colour.format.pixel, PixelFormat::kRgb24);
-  EXPECT_EQ(sink_.last().colour.format.width, 80);
+  EXPECT_EQ(sink_.last().colour.format.pixel, PixelFormat::kMjpeg) << "as it came";
+  EXPECT_EQ(sink_.last().pixels.format.pixel, PixelFormat::kRgb24);
+  EXPECT_EQ(sink_.last().pixels.format.width, 80);
   EXPECT_GT(health().corrupt, 2U);
   EXPECT_EQ(health().state, PipelineState::kStreaming);
   decoder.all_broken = true;
