@@ -1,0 +1,272 @@
+// The register tile: products, residual, activation, whatever the shape and the instruction set.
+#include <algorithm>
+#include <cmath>
+#include <gtest/gtest.h>
+
+#include "firmware/nn/kernels/attention.h"
+#include "firmware/nn/kernels/matrix.h"
+#include "firmware/nn/kernels/norm.h"
+#include "tests/firmware/isa.h"
+
+namespace lcdm::kernels {
+namespace {
+
+using test::for_each_isa;
+using test::Random;
+
+double activated(Activation activation, double x) {
+  switch (activation) {
+    case Activation::kNone:
+      return x;
+    case Activation::kSilu:
+      return x / (1 + std::exp(-x));
+    case Activation::kElu:
+      return x > 0 ? x : std::expm1(x);
+    case Activation::kRelu:
+      return std::max(x, 0.0);
+  }
+  return x;
+}
+
+constexpr float kUntouched = 12345;
+
+struct Product {
+  int rows;
+  int depth;
+  int columns;
+  Activation activation;
+  bool residual;
+};
+
+void check_product(const Product& p, unsigned seed) {
+  SCOPED_TRACE(testing::Message() << p.rows << " x " << p.depth << " x " << p.columns);
+  Random random(seed);
+  const auto index = [](int row, int column, int width) {
+    return static_cast<std::size_t>(row * width + column);
+  };
+  const auto a = random.reals(index(p.rows, 0, p.depth));
+  const auto b = random.reals(index(p.depth, 0, p.columns));
+  const auto bias = random.reals(static_cast<std::size_t>(p.columns));
+  const auto residual = random.reals(index(p.rows, 0, p.columns));
+  std::vector<float> packed(packed_floats(p.depth, p.columns));
+  const PackedMatrix matrix = pack_matrix(
+      p.depth, p.columns, [&](int k, int n) { return b[index(k, n, p.columns)]; }, bias, packed);
+  std::vector<float> out(residual.size() + 1, kUntouched);
+
+  RowInput rows = {{a.data()}, 1, p.depth, p.depth, p.rows};
+  multiply_rows(rows, matrix,
+                {out.data(), p.residual ? residual.data() : nullptr, p.columns, p.activation});
+
+  for (int m = 0; m < p.rows; ++m) {
+    for (int n = 0; n < p.columns; ++n) {
+      double sum = static_cast<double>(bias[static_cast<std::size_t>(n)]);
+      for (int k = 0; k < p.depth; ++k) {
+        sum += static_cast<double>(a[index(m, k, p.depth)]) *
+               static_cast<double>(b[index(k, n, p.columns)]);
+      }
+      if (p.residual) sum += static_cast<double>(residual[index(m, n, p.columns)]);
+      ASSERT_NEAR(out[index(m, n, p.columns)], activated(p.activation, sum), 1e-5 * p.depth)
+          << m << ", " << n;
+    }
+  }
+  EXPECT_EQ(out.back(), kUntouched) << "wrote behind the last row";
+}
+
+TEST(MatrixKernel, MultipliesAnyShape) {
+  for_each_isa([] {
+    unsigned seed = 0;
+    for (const int rows : {1, 2, 3, 5, 7, 8, 9, 71}) {
+      for (const int depth : {1, 3, 16, 33}) {
+        for (const int columns : {1, 4, 8, 15, 16, 17, 33, 48, 49, 100}) {
+          check_product({rows, depth, columns, Activation::kNone, seed % 2 == 0}, seed);
+          ++seed;
+        }
+      }
+    }
+  });
+}
+
+TEST(MatrixKernel, AppliesEveryActivation) {
+  for_each_isa([] {
+    for (const Activation activation :
+         {Activation::kNone, Activation::kSilu, Activation::kElu, Activation::kRelu}) {
+      check_product({13, 5, 21, activation, false}, 1);
+      check_product({13, 5, 21, activation, true}, 2);
+    }
+  });
+}
+
+// One value through a 1x1 product with weight 1.
+float through(Activation activation, float x) {
+  std::vector<float> packed(packed_floats(1, 1));
+  const PackedMatrix one = pack_matrix(
+      1, 1, [](int, int) { return 1.0F; }, {}, packed);
+  float out = 0;
+  multiply_rows({{&x}, 1, 1, 1, 1}, one, {&out, nullptr, 1, activation});
+  return out;
+}
+
+TEST(MatrixKernel, ActivationsAreAccurateOverTheirWholeRange) {
+  for_each_isa([] {
+    for (float x = -80; x < 80; x += 0.0371F) {
+      const double silu = activated(Activation::kSilu, static_cast<double>(x));
+      ASSERT_NEAR(through(Activation::kSilu, x), silu, 1e-6 * std::fabs(silu)) << x;
+      const double elu = activated(Activation::kElu, static_cast<double>(x));
+      ASSERT_NEAR(through(Activation::kElu, x), elu, 2e-7 + 1e-7 * std::fabs(elu)) << x;
+    }
+    // Far outside they stay finite and right.
+    EXPECT_NEAR(through(Activation::kSilu, -1e4F), 0, 1e-30);
+    EXPECT_EQ(through(Activation::kSilu, 1e4F), 1e4F);
+    EXPECT_EQ(through(Activation::kElu, -1e30F), -1.0F);
+  });
+}
+
+// ---- attention ----
+
+double expected_attention(const Attention& a, int position, int head, int query, int c) {
+  const int head_channels = a.channels / a.heads;
+  const auto value = [&](int token, int part, int channel) {
+    const int row = position * a.tokens + token;
+    const int column = part * a.channels + head * head_channels + channel;
+    return static_cast<double>(a.qkv[row * 3 * a.channels + column]);
+  };
+  double total = 0;
+  double mixed = 0;
+  for (int key = 0; key < a.tokens; ++key) {
+    double dot = 0;
+    for (int i = 0; i < head_channels; ++i) dot += value(query, 0, i) * value(key, 1, i);
+    const double e = std::exp(dot / std::sqrt(head_channels));
+    total += e;
+    mixed += e * value(key, 2, c);
+  }
+  return mixed / total;
+}
+
+void check_attention(int tokens, int head_channels) {
+  SCOPED_TRACE(testing::Message() << tokens << " tokens, " << head_channels << " channels");
+  Random random(static_cast<unsigned>(tokens * 100 + head_channels));
+  Attention a;
+  a.positions = 2;
+  a.heads = 4;
+  a.tokens = tokens;
+  a.channels = 4 * head_channels;
+  const auto values = static_cast<std::size_t>(a.positions * tokens * a.channels);
+  const auto qkv = random.reals(values * 3, -3, 3);
+  std::vector<float> out(values);
+  a.qkv = qkv.data();
+  a.output = out.data();
+  std::vector<float> scratch(attention_scratch(a));
+  attention_range(a, 0, attention_items(a), scratch.data());
+  for (std::size_t i = 0; i < values; ++i) {
+    const int channel = static_cast<int>(i) % a.channels;
+    const int token = static_cast<int>(i) / a.channels;
+    ASSERT_NEAR(out[i],
+                expected_attention(a, token / tokens, channel / head_channels, token % tokens,
+                                   channel % head_channels),
+                1e-5)
+        << i;
+  }
+}
+
+TEST(AttentionKernel, MixesValuesByTheSoftmaxOfScores) {
+  for_each_isa([] {
+    for (const int tokens : {1, 2, 5, 16, 31, 33, 40}) {
+      for (const int head_channels : {1, 5, 16, 30}) check_attention(tokens, head_channels);
+    }
+  });
+}
+
+TEST(AttentionKernel, SurvivesScoresThatWouldOverflow) {
+  for_each_isa([] {
+    // One token attends to itself alone, however large its score.
+    std::vector<float> qkv(12, 1e3F);
+    std::vector<float> out(4);
+    const Attention a = {qkv.data(), 1, 1, 4, 4, out.data()};
+    std::vector<float> scratch(attention_scratch(a));
+    attention_range(a, 0, attention_items(a), scratch.data());
+    for (const float v : out) EXPECT_EQ(v, 1e3F);
+  });
+}
+
+// ---- normalisation ----
+
+TEST(NormKernel, LayerNormGivesEachRowMeanZeroAndDeviationOne) {
+  for_each_isa([] {
+    for (const int channels : {1, 3, 16, 40, 65}) {
+      Random random(static_cast<unsigned>(channels));
+      const int rows = 5;
+      const auto width = static_cast<std::size_t>(channels);
+      const auto in = random.reals(rows * width, -5, 20);
+      const auto weight = random.reals(width);
+      const auto bias = random.reals(width);
+      std::vector<float> out(in.size());
+      layer_norm_rows({in.data(), channels, weight.data(), bias.data(), 1e-5F, out.data()}, 0,
+                      rows);
+      for (std::size_t row = 0; row < rows; ++row) {
+        double mean = 0;
+        double variance = 0;
+        for (std::size_t c = 0; c < width; ++c) {
+          mean += static_cast<double>(in[row * width + c]) / channels;
+        }
+        for (std::size_t c = 0; c < width; ++c) {
+          variance += std::pow(static_cast<double>(in[row * width + c]) - mean, 2) / channels;
+        }
+        for (std::size_t c = 0; c < width; ++c) {
+          const double x =
+              (static_cast<double>(in[row * width + c]) - mean) / std::sqrt(variance + 1e-5);
+          ASSERT_NEAR(out[row * width + c],
+                      x * static_cast<double>(weight[c]) + static_cast<double>(bias[c]), 1e-5);
+        }
+      }
+    }
+  });
+}
+
+TEST(NormKernel, GroupNormUsesTheStatisticsOfItsGroup) {
+  for_each_isa([] {
+    constexpr int kHeight = 5;
+    constexpr int kWidth = 7;
+    constexpr std::size_t kPixels = kHeight * kWidth;
+    for (const std::size_t members : {1U, 4U, 5U, 16U}) {
+      const std::size_t channels = 4 * members;
+      Random random(static_cast<unsigned>(channels));
+      const auto in = random.reals(kPixels * channels, -2, 6);
+      const auto weight = random.reals(channels);
+      const auto bias = random.reals(channels);
+      std::vector<float> sums(kHeight * 2 * channels);
+      std::vector<float> out(in.size());
+      const GroupNorm norm = {
+          in.data(),     kHeight,     kWidth, static_cast<int>(channels), 4,
+          weight.data(), bias.data(), 1e-5F,  Activation::kRelu,          sums.data(),
+          out.data()};
+      group_norm_sums(norm, 0, kHeight);
+      group_norm_apply(norm, 0, kHeight);
+      for (std::size_t group = 0; group < 4; ++group) {
+        double mean = 0;
+        double squares = 0;
+        const double count = static_cast<double>(kPixels * members);
+        const auto each = [&](auto&& f) {
+          for (std::size_t p = 0; p < kPixels; ++p) {
+            for (std::size_t c = group * members; c < (group + 1) * members; ++c) {
+              f(p * channels + c, c);
+            }
+          }
+        };
+        each([&](std::size_t i, std::size_t) { mean += static_cast<double>(in[i]) / count; });
+        each([&](std::size_t i, std::size_t) {
+          squares += std::pow(static_cast<double>(in[i]) - mean, 2) / count;
+        });
+        each([&](std::size_t i, std::size_t c) {
+          const double x = (static_cast<double>(in[i]) - mean) / std::sqrt(squares + 1e-5);
+          ASSERT_NEAR(
+              out[i],
+              std::max(0.0, x * static_cast<double>(weight[c]) + static_cast<double>(bias[c])),
+              1e-4);
+        });
+      }
+    }
+  });
+}
+
+}  // namespace
+}  // namespace lcdm::kernels
