@@ -1,0 +1,18 @@
+// The kinds of world a scene can be. Each fills a snapshot for a time; scene.cpp chooses.
+#pragma once
+
+#include "drivers/scene.h"
+
+namespace lcdm::scene {
+
+// A street of houses, trees, cars and people, driven along at the height of a car's camera.
+void fill_street(std::uint64_t seed, double seconds, Snapshot& out);
+// A park way with trees, rocks, benches, people and hoops to fly through.
+void fill_park(std::uint64_t seed, double seconds, Snapshot& out);
+// A furnished room, walked around in.
+void fill_room(std::uint64_t seed, double seconds, Snapshot& out);
+
+// Looks from `eye`: yaw to the right, pitch downwards, roll clockwise; radians.
+void set_camera(Vec3 eye, float yaw, float pitch, float roll, Snapshot& out);
+
+}  // namespace lcdm::scene

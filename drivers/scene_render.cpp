@@ -1,0 +1,291 @@
+#include "drivers/scene_render.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "drivers/scene_shade.h"
+#include "drivers/scene_trace.h"
+#include "firmware/base/check.h"
+
+namespace lcdm::scene {
+namespace {
+
+constexpr int kTile = 16;            // pixels; traced with a margin of one on each side
+constexpr int kSamples = 4;          // rays of a pixel on an edge
+constexpr float kGroundLimit = 400;  // metres; beyond is sky
+constexpr float kNear = 0.05F;       // metres; nothing nearer is looked for on the screen
+
+// Rays of a tile: its pixels row by row, then the margin: left, right, top, bottom. So shading can
+// stop before the margin.
+constexpr int kPixels = kTile * kTile;
+constexpr int kRays = kPixels + 4 * kTile;
+static_assert(kRays <= RayBatch::kCapacity);
+int ray_index(int column, int row) {
+  if (column < 0) return kPixels + row;
+  if (column >= kTile) return kPixels + kTile + row;
+  if (row < 0) return kPixels + 2 * kTile + column;
+  if (row >= kTile) return kPixels + 3 * kTile + column;
+  return row * kTile + column;
+}
+
+// Pixels, inclusive; empty when right < left.
+struct Rectangle {
+  float left = 1;
+  float top = 1;
+  float right = 0;
+  float bottom = 0;
+};
+
+// A picture in the making: everything the tiles share.
+class Picture {
+ public:
+  Picture(const Snapshot& snapshot, const CameraModel& camera, std::span<std::uint8_t> rgb,
+          std::span<float> depth)
+      : snapshot_(snapshot),
+        camera_(camera),
+        rgb_(rgb),
+        depth_(depth),
+        casters_(snapshot),
+        shader_(snapshot, casters_, 1 / camera.fx) {
+    for (std::size_t i = 0; i < snapshot.count; ++i) outlines_[i] = outline(snapshot.storage[i]);
+  }
+
+  void render() {
+    for (int y = 0; y < camera_.height; y += kTile) {
+      for (int x = 0; x < camera_.width; x += kTile) render_tile(x, y);
+    }
+  }
+
+ private:
+  Vec3 ray(float x, float y) const {
+    const float right = (x - camera_.cx) / camera_.fx;
+    const float down = (y - camera_.cy) / camera_.fy;
+    // One metre along the optical axis: so t is the depth.
+    return snapshot_.axes[0] * right + snapshot_.axes[1] * down + snapshot_.axes[2];
+  }
+  Vec3 into_camera(Vec3 world) const {
+    const Vec3 v = world - snapshot_.eye;
+    return {dot(v, snapshot_.axes[0]), dot(v, snapshot_.axes[1]), dot(v, snapshot_.axes[2])};
+  }
+
+  void include(Vec3 at, Rectangle& out) const;
+  Rectangle outline(const Primitive& primitive) const;
+  Rectangle outline_box(const Primitive& primitive) const;
+  Rectangle outline_ball(Vec3 centre, float radius) const;
+  std::span<const std::uint16_t> choose(int x, int y);
+  void trace_rays(std::span<const std::uint16_t> chosen);
+  void render_tile(int x, int y);
+  int find_edges(int width, int height);
+  void smooth_edges(int x, int y, std::span<const std::uint16_t> chosen, int edges);
+  void put(int x, int y, Vec3 colour);
+
+  const Snapshot& snapshot_;
+  const CameraModel& camera_;
+  std::span<std::uint8_t> rgb_;
+  std::span<float> depth_;
+  ShadowCasters casters_;
+  Shader shader_;
+  std::array<Rectangle, Snapshot::kMaxPrimitives> outlines_;
+  std::array<std::uint16_t, Snapshot::kMaxPrimitives> chosen_;
+  RayBatch rays_;
+  std::array<Vec3, RayBatch::kCapacity> colours_;
+  std::array<std::uint16_t, kPixels> edges_;  // of this tile, as ray indices
+};
+
+// Widens the rectangle by a point at or beyond the near plane.
+void Picture::include(Vec3 at, Rectangle& out) const {
+  const float inverse = 1 / std::max(kNear, at.z);
+  const float x = at.x * inverse * camera_.fx + camera_.cx;
+  const float y = at.y * inverse * camera_.fy + camera_.cy;
+  if (out.right < out.left) {
+    out = {x, y, x, y};
+    return;
+  }
+  out = {std::min(out.left, x), std::min(out.top, y), std::max(out.right, x),
+         std::max(out.bottom, y)};
+}
+
+Rectangle Picture::outline(const Primitive& p) const {
+  if (p.shape == Shape::kBox) return outline_box(p);
+  if (p.shape != Shape::kCapsule) return outline_ball(p.centre, p.bound);
+  const Rectangle a = outline_ball(p.centre - p.half, p.radius);
+  const Rectangle b = outline_ball(p.centre + p.half, p.radius);
+  // An end behind the eye says nothing about where the other goes on the screen.
+  if (a.right < a.left && b.right < b.left) return {};
+  if (a.right < a.left || b.right < b.left) return outline_ball(p.centre, p.bound);
+  return {std::min(a.left, b.left), std::min(a.top, b.top), std::max(a.right, b.right),
+          std::max(a.bottom, b.bottom)};
+}
+
+Rectangle Picture::outline_ball(Vec3 centre, float radius) const {
+  const Vec3 c = into_camera(centre);
+  if (c.z + radius < kNear) return {};
+  const auto side = [](int pixels) { return static_cast<float>(pixels); };
+  if (c.z - radius < kNear) return {0, 0, side(camera_.width), side(camera_.height)};
+  Rectangle out;
+  for (const float z : {c.z - radius, c.z + radius}) {
+    include({c.x - radius, c.y - radius, z}, out);
+    include({c.x + radius, c.y + radius, z}, out);
+  }
+  return out;
+}
+
+// The twelve edges, each cut at the near plane.
+Rectangle Picture::outline_box(const Primitive& p) const {
+  std::array<Vec3, 8> corners;
+  for (std::size_t i = 0; i < 8; ++i) {
+    const float x = (i & 1U) != 0 ? p.half.x : -p.half.x;
+    const float y = (i & 2U) != 0 ? p.half.y : -p.half.y;
+    const float z = (i & 4U) != 0 ? p.half.z : -p.half.z;
+    corners[i] = into_camera(p.centre +
+                             Vec3{p.cos_yaw * x + p.sin_yaw * z, y, p.cos_yaw * z - p.sin_yaw * x});
+  }
+  Rectangle out;
+  for (std::size_t i = 0; i < 8; ++i) {
+    if (corners[i].z >= kNear) include(corners[i], out);
+    for (const std::size_t bit : {1U, 2U, 4U}) {
+      if ((i & bit) != 0) continue;
+      const Vec3 a = corners[i];
+      const Vec3 b = corners[i | bit];
+      if ((a.z < kNear) == (b.z < kNear)) continue;
+      include(mix(a, b, (kNear - a.z) / (b.z - a.z)), out);
+    }
+  }
+  return out;
+}
+
+// The primitives that may show in the tile at (x, y) or its margin.
+std::span<const std::uint16_t> Picture::choose(int x, int y) {
+  const auto left = static_cast<float>(x - 2);
+  const auto top = static_cast<float>(y - 2);
+  const auto right = static_cast<float>(x + kTile + 1);
+  const auto bottom = static_cast<float>(y + kTile + 1);
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < snapshot_.count; ++i) {
+    const Rectangle& o = outlines_[i];
+    if (o.right < o.left || o.right < left || o.left > right || o.bottom < top || o.top > bottom) {
+      continue;
+    }
+    chosen_[count++] = static_cast<std::uint16_t>(i);
+  }
+  return std::span(chosen_).first(count);
+}
+
+void Picture::trace_rays(std::span<const std::uint16_t> chosen) {
+  trace_ground(kGroundLimit, rays_);
+  trace(snapshot_.primitives(), chosen, rays_);
+}
+
+void Picture::render_tile(int x, int y) {
+  const int width = std::min(kTile, camera_.width - x);
+  const int height = std::min(kTile, camera_.height - y);
+  const auto chosen = choose(x, y);
+  const auto aim = [&](int column, int row) {
+    rays_.set(ray_index(column, row), snapshot_.eye,
+              ray(static_cast<float>(x + column), static_cast<float>(y + row)), kFar);
+  };
+  for (int i = 0; i < kTile; ++i) {
+    for (int column = 0; column < kTile; ++column) aim(column, i);
+    aim(-1, i);
+    aim(kTile, i);
+    aim(i, -1);
+    aim(i, kTile);
+  }
+  rays_.count = kRays;
+  trace_rays(chosen);
+  const int edges = find_edges(width, height);
+
+  rays_.count = kPixels;
+  shader_.shade(rays_, colours_);
+  for (int row = 0; row < height; ++row) {
+    for (int column = 0; column < width; ++column) {
+      const auto k = static_cast<std::size_t>(row * kTile + column);
+      put(x + column, y + row, colours_[k]);
+      if (depth_.empty()) continue;
+      const std::ptrdiff_t pixel =
+          static_cast<std::ptrdiff_t>(y + row) * camera_.width + x + column;
+      depth_[static_cast<std::size_t>(pixel)] = rays_.hit[k] == kHitNothing ? 0 : rays_.t[k];
+    }
+  }
+  smooth_edges(x, y, chosen, edges);
+}
+
+// Lists the pixels beside which something else begins.
+int Picture::find_edges(int width, int height) {
+  const auto hit = [&](int column, int row) {
+    return rays_.hit[static_cast<std::size_t>(ray_index(column, row))];
+  };
+  std::size_t count = 0;
+  for (int row = 0; row < height; ++row) {
+    for (int column = 0; column < width; ++column) {
+      const std::int32_t here = hit(column, row);
+      if (hit(column - 1, row) == here && hit(column + 1, row) == here &&
+          hit(column, row - 1) == here && hit(column, row + 1) == here) {
+        continue;
+      }
+      edges_[count++] = static_cast<std::uint16_t>(ray_index(column, row));
+    }
+  }
+  return static_cast<int>(count);
+}
+
+// Colours each listed pixel anew from rays through a rotated grid.
+void Picture::smooth_edges(int x, int y, std::span<const std::uint16_t> chosen, int edges) {
+  static constexpr std::array<std::array<float, 2>, kSamples> kOffsets{
+      {{-0.125F, -0.375F}, {0.375F, -0.125F}, {-0.375F, 0.125F}, {0.125F, 0.375F}}};
+  constexpr int kAtOnce = RayBatch::kCapacity / kSamples;
+  for (int begin = 0; begin < edges; begin += kAtOnce) {
+    const int count = std::min(kAtOnce, edges - begin);
+    rays_.count = count * kSamples;
+    for (int i = 0; i < rays_.count; ++i) {
+      const int pixel = edges_[static_cast<std::size_t>(begin + i / kSamples)];
+      const auto& offset = kOffsets[static_cast<std::size_t>(i % kSamples)];
+      rays_.set(i, snapshot_.eye,
+                ray(static_cast<float>(x + pixel % kTile) + offset[0],
+                    static_cast<float>(y + pixel / kTile) + offset[1]),
+                kFar);
+    }
+    trace_rays(chosen);
+    shader_.shade(rays_, colours_);
+    for (int i = 0; i < count; ++i) {
+      Vec3 sum;
+      for (int s = 0; s < kSamples; ++s) {
+        const Vec3 c = colours_[static_cast<std::size_t>(i * kSamples + s)];
+        sum = sum + Vec3{std::min(c.x, 1.0F), std::min(c.y, 1.0F), std::min(c.z, 1.0F)};
+      }
+      const int pixel = edges_[static_cast<std::size_t>(begin + i)];
+      put(x + pixel % kTile, y + pixel / kTile, sum * (1.0F / kSamples));
+    }
+  }
+}
+
+void Picture::put(int x, int y, Vec3 colour) {
+  std::uint8_t* out = rgb_.data() + (static_cast<std::ptrdiff_t>(y) * camera_.width + x) * 3;
+  const auto byte = [](float v) {
+    return static_cast<std::uint8_t>(std::clamp(v, 0.0F, 1.0F) * 255 + 0.5F);
+  };
+  out[0] = byte(colour.x);
+  out[1] = byte(colour.y);
+  out[2] = byte(colour.z);
+}
+
+}  // namespace
+
+void render(const Snapshot& snapshot, const CameraModel& camera, std::span<std::uint8_t> rgb,
+            std::span<float> depth) {
+  const auto pixels =
+      static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+  LCDM_CHECK(rgb.size() == 3 * pixels);
+  LCDM_CHECK(depth.empty() || depth.size() == pixels);
+  Picture(snapshot, camera, rgb, depth).render();
+}
+
+void render(const Scene& scene, double seconds, const CameraModel& camera,
+            std::span<std::uint8_t> rgb, std::span<float> depth) {
+  Snapshot snapshot;
+  scene.at(seconds, snapshot);
+  render(snapshot, camera, rgb, depth);
+}
+
+}  // namespace lcdm::scene
