@@ -12,7 +12,7 @@ namespace lcdm::scene {
 namespace {
 
 constexpr int kTile = 16;            // pixels; traced with a margin of one on each side
-constexpr int kSamples = 4;          // rays of a pixel on an edge
+constexpr std::size_t kSamples = 4;  // rays of a pixel on an edge
 constexpr float kGroundLimit = 400;  // metres; beyond is sky
 constexpr float kNear = 0.05F;       // metres; nothing nearer is looked for on the screen
 
@@ -78,6 +78,9 @@ class Picture {
   void render_tile(int x, int y);
   int find_edges(int width, int height);
   void smooth_edges(int x, int y, std::span<const std::uint16_t> chosen, int edges);
+  void trace_samples(int x, int y, std::span<const std::uint16_t> pixels,
+                     std::span<const std::uint16_t> chosen);
+  void shade_samples();
   void put(int x, int y, Vec3 colour);
 
   const Snapshot& snapshot_;
@@ -90,6 +93,7 @@ class Picture {
   std::array<std::uint16_t, Snapshot::kMaxPrimitives> chosen_;
   RayBatch rays_;
   std::array<Vec3, RayBatch::kCapacity> colours_;
+  std::array<std::uint16_t, RayBatch::kCapacity> shaded_as_;
   std::array<std::uint16_t, kPixels> edges_;  // of this tile, as ray indices
 };
 
@@ -230,34 +234,60 @@ int Picture::find_edges(int width, int height) {
   return static_cast<int>(count);
 }
 
-// Colours each listed pixel anew from rays through a rotated grid.
+// Colours each listed pixel anew, from rays through a rotated grid. Each thing that shows in a
+// pixel is shaded once, as multi-sampling does: only visibility is asked for at every sample.
 void Picture::smooth_edges(int x, int y, std::span<const std::uint16_t> chosen, int edges) {
+  constexpr int kAtOnce = RayBatch::kCapacity / static_cast<int>(kSamples);
+  for (int begin = 0; begin < edges; begin += kAtOnce) {
+    const auto pixels =
+        std::span(edges_).subspan(static_cast<std::size_t>(begin),
+                                  static_cast<std::size_t>(std::min(kAtOnce, edges - begin)));
+    trace_samples(x, y, pixels, chosen);
+    shade_samples();
+    for (std::size_t i = 0; i < pixels.size(); ++i) {
+      Vec3 sum;
+      for (std::size_t s = 0; s < kSamples; ++s) {
+        const Vec3 c = colours_[shaded_as_[i * kSamples + s]];
+        sum = sum + Vec3{std::min(c.x, 1.0F), std::min(c.y, 1.0F), std::min(c.z, 1.0F)};
+      }
+      put(x + pixels[i] % kTile, y + pixels[i] / kTile, sum * (1.0F / kSamples));
+    }
+  }
+}
+
+void Picture::trace_samples(int x, int y, std::span<const std::uint16_t> pixels,
+                            std::span<const std::uint16_t> chosen) {
   static constexpr std::array<std::array<float, 2>, kSamples> kOffsets{
       {{-0.125F, -0.375F}, {0.375F, -0.125F}, {-0.375F, 0.125F}, {0.125F, 0.375F}}};
-  constexpr int kAtOnce = RayBatch::kCapacity / kSamples;
-  for (int begin = 0; begin < edges; begin += kAtOnce) {
-    const int count = std::min(kAtOnce, edges - begin);
-    rays_.count = count * kSamples;
-    for (int i = 0; i < rays_.count; ++i) {
-      const int pixel = edges_[static_cast<std::size_t>(begin + i / kSamples)];
-      const auto& offset = kOffsets[static_cast<std::size_t>(i % kSamples)];
-      rays_.set(i, snapshot_.eye,
+  int i = 0;
+  for (const std::uint16_t pixel : pixels) {
+    for (const auto& offset : kOffsets) {
+      rays_.set(i++, snapshot_.eye,
                 ray(static_cast<float>(x + pixel % kTile) + offset[0],
                     static_cast<float>(y + pixel / kTile) + offset[1]),
                 kFar);
     }
-    trace_rays(chosen);
-    shader_.shade(rays_, colours_);
-    for (int i = 0; i < count; ++i) {
-      Vec3 sum;
-      for (int s = 0; s < kSamples; ++s) {
-        const Vec3 c = colours_[static_cast<std::size_t>(i * kSamples + s)];
-        sum = sum + Vec3{std::min(c.x, 1.0F), std::min(c.y, 1.0F), std::min(c.z, 1.0F)};
-      }
-      const int pixel = edges_[static_cast<std::size_t>(begin + i)];
-      put(x + pixel % kTile, y + pixel / kTile, sum * (1.0F / kSamples));
+  }
+  rays_.count = i;
+  trace_rays(chosen);
+}
+
+// Moves the first sample of each thing in each pixel to the front of the batch and shades those;
+// shaded_as_ says for every sample which of them stands for it.
+void Picture::shade_samples() {
+  const auto samples = static_cast<std::size_t>(rays_.count);
+  std::size_t kept = 0;
+  for (std::size_t first = 0; first < samples; first += kSamples) {
+    const std::size_t kept_before = kept;
+    for (std::size_t i = first; i < first + kSamples; ++i) {
+      std::size_t same = kept_before;
+      while (same < kept && rays_.hit[same] != rays_.hit[i]) ++same;
+      shaded_as_[i] = static_cast<std::uint16_t>(same);
+      if (same == kept) rays_.copy(i, kept++);
     }
   }
+  rays_.count = static_cast<int>(kept);
+  shader_.shade(rays_, colours_);
 }
 
 void Picture::put(int x, int y, Vec3 colour) {

@@ -250,13 +250,12 @@ float rough_log2(float x) {
   return bits * (1.0F / 8388608.0F) - 126.96F;
 }
 
-}  // namespace
+// How often each pattern repeats along a metre, in the order of Texture.
+constexpr std::array<float, kTextures> kTilesPerMetre{1.0F,  0.25F, 1.0F,     1 / 1.2F, 2.0F,
+                                                      0.25F, 0.25F, 1 / 1.6F, 1 / 1.2F, 1 / 12.0F,
+                                                      0.5F,  0.25F, 1.0F,     1.0F,     1.25F};
 
-float TextureSet::period(Texture texture) {
-  static constexpr std::array<float, kTextures> kPeriods{1,    4,  1,    1.2F, 0.5F, 4, 4,   1.6F,
-                                                         1.2F, 12, 2.0F, 4,    1,    1, 0.8F};
-  return kPeriods[static_cast<std::size_t>(texture)];
-}
+}  // namespace
 
 TextureSet::TextureSet() : texels_(kTexels * kTextures) {
   for (int i = 0; i < kTextures; ++i) make(static_cast<Texture>(i));
@@ -287,32 +286,37 @@ void TextureSet::make(Texture texture) {
   }
 }
 
+// One bilinear sample of a level, both lanes; x and y in 256ths of a texel.
+TextureSet::Texel TextureSet::bilinear(const Texel* level, int side, int x, int y) {
+  const int mask = side - 1;
+  const int x0 = (x >> 8) & mask;
+  const int x1 = (x0 + 1) & mask;
+  const Texel* row0 = level + ((y >> 8) & mask) * side;
+  const Texel* row1 = level + (((y >> 8) + 1) & mask) * side;
+  const auto fx = static_cast<Texel>(x & 255);
+  return blend(blend(row0[x0], row0[x1], fx), blend(row1[x0], row1[x1], fx),
+               static_cast<Texel>(y & 255));
+}
+
 TextureSample TextureSet::sample(Texture texture, float u, float v, float footprint) const {
-  const float inverse = 1 / period(texture);
+  const float tiles = kTilesPerMetre[static_cast<std::size_t>(texture)];
   const float level =
-      std::clamp(rough_log2(footprint * inverse * kSide), 0.0F, static_cast<float>(kLevels - 1));
+      std::clamp(rough_log2(footprint * tiles * kSide), 0.0F, static_cast<float>(kLevels - 1));
   const int fine = std::min(static_cast<int>(level), kLevels - 2);
   const auto between = static_cast<std::uint32_t>((level - static_cast<float>(fine)) * 256);
 
-  const Texel* texels = tile(texture);
-  const auto fetch = [&](int which) {
-    const int side = kSide >> which;
-    // Texels of the levels before: (4 kSide^2 - 4 side^2) / 3.
-    const Texel* base = texels + (4 * kSide * kSide - 4 * side * side) / 3;
-    const float x = u * inverse * static_cast<float>(side) - 0.5F;
-    const float y = v * inverse * static_cast<float>(side) - 0.5F;
-    const auto x8 = static_cast<std::int32_t>(std::floor(x * 256));
-    const auto y8 = static_cast<std::int32_t>(std::floor(y * 256));
-    const int mask = side - 1;
-    const int x0 = (x8 >> 8) & mask;
-    const int x1 = (x0 + 1) & mask;
-    const Texel* row0 = base + ((y8 >> 8) & mask) * side;
-    const Texel* row1 = base + (((y8 >> 8) + 1) & mask) * side;
-    const auto fx = static_cast<std::uint32_t>(x8 & 255);
-    return blend(blend(row0[x0], row0[x1], fx), blend(row1[x0], row1[x1], fx),
-                 static_cast<std::uint32_t>(y8 & 255));
-  };
-  const std::uint32_t both = blend(fetch(fine), fetch(fine + 1), between);
+  const int side = kSide >> fine;
+  // Texels of the levels before: (4 kSide^2 - 4 side^2) / 3.
+  const Texel* base = tile(texture) + (4 * kSide * kSide - 4 * side * side) / 3;
+  const float x = u * tiles * static_cast<float>(side * 256);
+  const float y = v * tiles * static_cast<float>(side * 256);
+  constexpr int kCentre = 128;  // half a texel: values lie at texel centres
+  const auto x8 = static_cast<int>(x);
+  const auto y8 = static_cast<int>(y);
+  const Texel near = bilinear(base, side, x8 - kCentre, y8 - kCentre);
+  const Texel far =
+      bilinear(base + side * side, side / 2, (x8 >> 1) - kCentre, (y8 >> 1) - kCentre);
+  const Texel both = blend(near, far, between);
   return {static_cast<float>(both & 255U) * (1.0F / 255),
           static_cast<float>(both >> 16) * (1.0F / 128)};
 }

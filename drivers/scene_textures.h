@@ -25,9 +25,8 @@ class TextureSet {
   TextureSet();
 
   // At (u, v) metres on the surface, where a pixel covers `footprint` metres; trilinear.
+  // Coordinates up to 4 km.
   TextureSample sample(Texture texture, float u, float v, float footprint) const;
-  // Metres after which the pattern repeats.
-  static float period(Texture texture);
 
  private:
   static constexpr int kLevels = 9;  // 256, 128, ... 1
@@ -37,6 +36,7 @@ class TextureSet {
   static constexpr std::size_t kTexels = (4 * kSide * kSide - 1) / 3;  // of all levels
 
   void make(Texture texture);
+  static Texel bilinear(const Texel* level, int side, int x, int y);
   const Texel* tile(Texture texture) const {
     return texels_.data() + static_cast<std::size_t>(texture) * kTexels;
   }

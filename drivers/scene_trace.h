@@ -41,6 +41,11 @@ struct alignas(64) RayBatch {
     t[k] = t_max;
     hit[k] = kHitNothing;
   }
+  // Makes ray `to` what ray `from` is, its hit included.
+  void copy(std::size_t from, std::size_t to) {
+    for (Lane* lane : {&ox, &oy, &oz, &dx, &dy, &dz, &inverse_dd, &t}) (*lane)[to] = (*lane)[from];
+    hit[to] = hit[from];
+  }
 };
 
 // For every ray the nearest of the `chosen` primitives in front of t: updates t and hit. Hits
