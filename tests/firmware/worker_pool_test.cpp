@@ -1,0 +1,72 @@
+// The team of inference threads.
+#include "firmware/nn/worker_pool.h"
+
+#include <gtest/gtest.h>
+#include <numeric>
+
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+TEST(WorkerPool, EveryWorkerDoesItsPartOnceARound) {
+  for (const int workers : {1, 2, 3, 5}) {
+    WorkerPool pool(workers);
+    std::vector<int> done(static_cast<std::size_t>(workers));
+    for (int round = 1; round <= 2000; ++round) {
+      pool.run([&](int worker) { ++done[static_cast<std::size_t>(worker)]; });
+      // run() returned: all parts of this round are visible, none of the next has begun.
+      for (const int count : done) ASSERT_EQ(count, round);
+    }
+  }
+}
+
+TEST(WorkerPool, WakesFromSleep) {
+  WorkerPool pool(2);
+  int rounds = 0;
+  for (int i = 0; i < 5; ++i) {
+    const std::int64_t until = os::monotonic_ns() + 3'000'000;  // long after the spinning ends
+    while (os::monotonic_ns() < until) std::this_thread::yield();
+    pool.run([&](int worker) { rounds += worker; });
+  }
+  EXPECT_EQ(rounds, 5);
+}
+
+TEST(WorkerPool, TheCallerIsWorkerZero) {
+  WorkerPool pool(3);
+  const auto caller = std::this_thread::get_id();
+  std::vector<std::thread::id> ids(3);
+  pool.run([&](int worker) { ids[static_cast<std::size_t>(worker)] = std::this_thread::get_id(); });
+  EXPECT_EQ(ids[0], caller);
+  EXPECT_NE(ids[1], caller);
+  EXPECT_NE(ids[1], ids[2]);
+}
+
+TEST(SliceOf, PartsCoverEverythingOnceAtGrains) {
+  for (int count = 0; count < 50; ++count) {
+    for (int parts = 1; parts < 7; ++parts) {
+      for (const int grain : {1, 4, 8}) {
+        int next = 0;
+        for (int i = 0; i < parts; ++i) {
+          const Slice slice = slice_of(count, i, parts, grain);
+          ASSERT_EQ(slice.begin, next);
+          ASSERT_LE(slice.begin, slice.end);
+          ASSERT_TRUE(slice.end == count || slice.end % grain == 0);
+          next = slice.end;
+        }
+        ASSERT_EQ(next, count);
+      }
+    }
+  }
+}
+
+TEST(SliceOf, PartsAreNearlyEqual) {
+  for (int i = 0; i < 3; ++i) {
+    const Slice slice = slice_of(100, i, 3);
+    EXPECT_GE(slice.end - slice.begin, 33);
+    EXPECT_LE(slice.end - slice.begin, 34);
+  }
+}
+
+}  // namespace
+}  // namespace lcdm
