@@ -1,4 +1,114 @@
 #include "app/source.h"
+
+#include <charconv>
+#include <chrono>
+#include <cstdint>
+#include <optional>
+#include <string_view>
+#include <vector>
+
+#include "drivers/mcap_camera.h"
+#include "drivers/replay_camera.h"
+#include "drivers/scene_camera.h"
+#include "drivers/v4l2_camera.h"
+#include "firmware/base/os.h"
+
 namespace lcdm {
-bool is_source_uri(const std::string& text) { return text == "scene:" || text.find(':') != std::string::npos; }
+namespace {
+
+constexpr std::chrono::seconds kTrial{3};
+constexpr std::uint64_t kDefaultSeed = 1;
+
+// What stands behind `scheme:`, when the text begins with that.
+std::optional<std::string> rest_of(const std::string& uri, std::string_view scheme) {
+  if (uri.rfind(scheme, 0) != 0) return std::nullopt;
+  return uri.substr(scheme.size());
 }
+
+// The seed behind `scene:`; empty when it is no number.
+std::optional<std::uint64_t> parse_seed(const std::string& text) {
+  if (text.empty()) return kDefaultSeed;
+  std::uint64_t seed = 0;
+  const auto parsed = std::from_chars(text.data(), text.data() + text.size(), seed);
+  if (parsed.ec != std::errc() || parsed.ptr != text.data() + text.size()) return std::nullopt;
+  return seed;
+}
+
+// Dequeues until a frame came, or for kTrial.
+Status wait_for_frame(Camera& camera) {
+  const std::int64_t end = os::monotonic_ns() + std::chrono::nanoseconds(kTrial).count();
+  while (true) {
+    const auto frame = camera.dequeue(std::chrono::milliseconds(250));
+    if (frame) return camera.requeue(frame->index);
+    const bool transient =
+        frame.code() == StatusCode::kTimeout || frame.code() == StatusCode::kCorrupt;
+    if (!transient || os::monotonic_ns() > end) return frame.status();
+  }
+}
+
+Status try_camera(Camera& camera, const CaptureRequest& request) {
+  LCDM_RETURN_IF_ERROR(camera.configure(request));
+  Status status = camera.start();
+  if (status) status = wait_for_frame(camera);
+  camera.stop();
+  return status;
+}
+
+}  // namespace
+
+bool is_source_uri(const std::string& text) {
+  for (const char* scheme : {"file:", "mcap:", "v4l2:"}) {
+    if (const auto rest = rest_of(text, scheme)) return !rest->empty();
+  }
+  const auto seed = rest_of(text, "scene:");
+  return seed && parse_seed(*seed).has_value();
+}
+
+Result<OpenedSource> open_source(const std::string& uri, Playback playback) {
+  const bool live = playback == Playback::kLive;
+  if (const auto path = rest_of(uri, "file:")) {
+    const auto how = live ? ReplayCamera::Playback::kLive : ReplayCamera::Playback::kOffline;
+    return OpenedSource{std::make_unique<ReplayCamera>(*path, how), false, live};
+  }
+  if (const auto path = rest_of(uri, "mcap:")) {
+    const auto how = live ? McapCamera::Playback::kLive : McapCamera::Playback::kOffline;
+    return OpenedSource{std::make_unique<McapCamera>(*path, how), false, live};
+  }
+  if (const auto device = rest_of(uri, "v4l2:")) {
+    return OpenedSource{std::make_unique<V4l2Camera>(*device), true, true};
+  }
+  if (const auto text = rest_of(uri, "scene:")) {
+    if (const auto seed = parse_seed(*text)) {
+      return OpenedSource{std::make_unique<SceneCamera>(*seed), true, true};
+    }
+  }
+  return Status::error(StatusCode::kInvalidInput,
+                       "%s: no such source: use scene:, file:PATH, mcap:PATH or v4l2:/dev/...",
+                       uri.c_str());
+}
+
+std::string choose_source(const CaptureRequest& request,
+                          const std::function<void(const std::string&)>& say) {
+  std::string rejected;
+  const auto reject = [&rejected](const std::string& reason) {
+    rejected += (rejected.empty() ? "" : "; ") + reason;
+  };
+  for (const V4l2Node& node : list_v4l2_nodes()) {
+    if (!node.usable) {
+      reject(node.path + ": " + node.reason);
+      continue;
+    }
+    V4l2Camera camera(node.path);
+    const Status status = try_camera(camera, request);
+    if (status) {
+      if (!rejected.empty()) say("rejected: " + rejected);
+      return "v4l2:" + node.path;
+    }
+    reject(status.text());
+  }
+  say((rejected.empty() ? "no camera found (no /dev/video*)" : "no usable camera: " + rejected) +
+      "; showing the rendered scene");
+  return "scene:";
+}
+
+}  // namespace lcdm

@@ -13,7 +13,7 @@ namespace lcdm {
 // Live: at the source's own pace, for ever where it can. Offline: each frame once, at its own size.
 enum class Playback { kLive, kOffline };
 
-struct Source {
+struct OpenedSource {
   std::unique_ptr<Camera> camera;  // not configured yet
   bool seal_capture = false;       // its capture thread keeps the promise not to allocate
   bool endless = false;            // gives frames until it is stopped, offline too
@@ -23,7 +23,7 @@ struct Source {
 // whether anything is there.
 bool is_source_uri(const std::string& text);
 
-Result<Source> open_source(const std::string& uri, Playback playback);
+Result<OpenedSource> open_source(const std::string& uri, Playback playback);
 
 // What `auto` stands for now: the first V4L2 node that delivers a frame within 3 s, else the
 // rendered scene. Every node that is tried or rejected, and the choice, is a line for `say`.

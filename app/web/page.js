@@ -23,12 +23,17 @@ function setText(id, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-function showMarker() {
+function placeMarkers(label) {
   for (const screen of screens) {
-    const spot = screen.querySelector(".marker").style;
-    spot.left = `${100 * marker.x}%`;
-    spot.top = `${100 * marker.y}%`;
+    const spot = screen.querySelector(".marker");
+    spot.style.left = `${100 * marker.x}%`;
+    spot.style.top = `${100 * marker.y}%`;
+    spot.classList.toggle("is-right", marker.x > 0.75);
+    spot.firstElementChild.textContent = label;
   }
+}
+
+function showMarker() {
   if (!depth) return;
   const x = Math.min(depth.width - 1, Math.floor(marker.x * depth.width));
   const y = Math.min(depth.height - 1, Math.floor(marker.y * depth.height));
@@ -39,6 +44,7 @@ function showMarker() {
   Object.assign(output.dataset, { x, y, millimetres, sequence: depth.sequence });
   setText("unit", unit);
   setText("place", `column ${x}, row ${y} of the depth picture`);
+  placeMarkers(`${text} ${unit}`);
 }
 
 function showAge() {
@@ -218,5 +224,4 @@ setInterval(() => {
   showAge();
   if (status && link === "up" && status.state !== "streaming") showState();
 }, 100);
-showMarker();
 new LiveStream("/live", onMessage, onLost).run();

@@ -15,7 +15,8 @@ class FrameDecoder {
   virtual Result<FrameFormat> prepare(const FrameFormat& compressed) = 0;
 
   // `frame` has the prepared format. The view points into the slot and is valid until the next
-  // call. kCorrupt: the bytes are broken or of another size; the next frame may be fine.
+  // call. Allocates nothing. kCorrupt: the bytes are broken or of another size; the next frame may
+  // be fine.
   virtual Result<FrameView> decode(const FrameView& frame) noexcept = 0;
 };
 

@@ -257,9 +257,7 @@ Status Pipeline::infer(const FrameView& captured) {
   if (!engine_) return engine_status_;
   FrameView pixels = captured;
   if (captured.format.pixel == PixelFormat::kMjpeg) {
-    alloc_watch::unseal_thread();  // a JPEG library allocates its small tables for every picture
     const Result<FrameView> decoded = decoder_->decode(captured);
-    alloc_watch::seal_thread();
     if (!decoded) return decoded.status();
     pixels = *decoded;
   }

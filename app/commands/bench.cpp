@@ -1,0 +1,183 @@
+// lcdm bench: how fast the engine is on this machine, and what it takes.
+#include <algorithm>
+#include <cstdio>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "app/commands/commands.h"
+#include "app/common_options.h"
+#include "app/exit_code.h"
+#include "app/report.h"
+#include "firmware/base/alloc_watch.h"
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+constexpr int kWarmUpFrames = 3;
+constexpr int kFewestFrames = 20;
+constexpr int kMostFrames = 1000;
+constexpr std::int64_t kShortestRunNs = 5'000'000'000;
+
+struct BenchOptions {
+  CommonOptions common;
+  int threads = 0;
+  std::string size;
+  bool json = false;
+};
+
+struct BenchResult {
+  std::vector<double> milliseconds;  // sorted
+  double allocations_per_frame = 0;
+  EngineStats stats;
+
+  double percentile(int p) const {
+    return milliseconds[(milliseconds.size() - 1) * static_cast<std::size_t>(p) / 100];
+  }
+  double mean() const {
+    double sum = 0;
+    for (const double each : milliseconds) sum += each;
+    return sum / static_cast<double>(milliseconds.size());
+  }
+};
+
+// Smooth shapes and some noise, so that no value is special. [height, width, 3]
+std::vector<std::uint8_t> make_picture(int width, int height) {
+  std::vector<std::uint8_t> pixels;
+  pixels.reserve(static_cast<std::size_t>(width) * static_cast<std::size_t>(height) * 3);
+  std::uint32_t noise = 1;
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      noise = noise * 1664525U + 1013904223U;
+      const int shade = (x * 3 + y * 5 + (x * y) / 97) & 0xFF;
+      for (int channel = 0; channel < 3; ++channel) {
+        pixels.push_back(static_cast<std::uint8_t>(
+            std::min(255, (shade * (channel + 2)) / 4 + static_cast<int>(noise >> 28))));
+      }
+    }
+  }
+  return pixels;
+}
+
+// Frames of the network's own size through the whole engine, preprocessing included.
+Result<BenchResult> measure(const ModelFile& model, const EngineOptions& options) {
+  const CameraModel camera = CameraModel::from_field_of_view(options.width, options.height, 65);
+  const FrameFormat format{PixelFormat::kRgb24, options.width, options.height, options.width * 3};
+  auto engine = Engine::prepare(model, options, format, camera);
+  if (!engine) return engine.status();
+
+  const std::vector<std::uint8_t> pixels = make_picture(options.width, options.height);
+  const FrameView frame{format, {}, pixels.data(), pixels.size()};
+  std::vector<std::uint16_t> depth(static_cast<std::size_t>(options.width) *
+                                   static_cast<std::size_t>(options.height));
+  const DepthBuffer out{options.width, options.height, depth.data(), nullptr};
+  BenchResult result;
+  result.milliseconds.reserve(kMostFrames);
+  for (int i = 0; i < kWarmUpFrames; ++i) LCDM_RETURN_IF_ERROR((*engine)->run(frame, out));
+
+  const std::uint64_t allocations = alloc_watch::process_allocations();
+  const std::int64_t begin = os::monotonic_ns();
+  for (int i = 0; i < kMostFrames; ++i) {
+    const std::int64_t before = os::monotonic_ns();
+    LCDM_RETURN_IF_ERROR((*engine)->run(frame, out));
+    const std::int64_t after = os::monotonic_ns();
+    result.milliseconds.push_back(static_cast<double>(after - before) * 1e-6);
+    if (i + 1 >= kFewestFrames && after - begin >= kShortestRunNs) break;
+  }
+  result.allocations_per_frame =
+      static_cast<double>(alloc_watch::process_allocations() - allocations) /
+      static_cast<double>(result.milliseconds.size());
+  std::sort(result.milliseconds.begin(), result.milliseconds.end());
+  result.stats = (*engine)->stats();
+  return result;
+}
+
+void print_json(const BenchResult& result) {
+  const EngineStats& stats = result.stats;
+  const nlohmann::json json = {
+      {"model", stats.model_name},
+      {"width", stats.width},
+      {"height", stats.height},
+      {"threads", stats.threads},
+      {"frames", result.milliseconds.size()},
+      {"latency_ms",
+       {{"p50", result.percentile(50)},
+        {"p95", result.percentile(95)},
+        {"p99", result.percentile(99)}}},
+      {"frames_per_second", 1000 / result.mean()},
+      {"macs", stats.macs},
+      {"arena_bytes", stats.arena_bytes},
+      {"weight_bytes", stats.weight_bytes},
+      {"peak_rss_bytes", os::peak_rss_bytes()},
+      {"allocations_per_frame", result.allocations_per_frame},
+  };
+  std::printf("%s\n", json.dump(2).c_str());
+}
+
+void print_text(const BenchResult& result) {
+  const EngineStats& stats = result.stats;
+  std::printf("model      %s\n", stats.model_name.c_str());
+  std::printf("input      %dx%d, %.3f GMAC\n", stats.width, stats.height,
+              static_cast<double>(stats.macs) * 1e-9);
+  std::printf("threads    %d\n", stats.threads);
+  std::printf("latency    p50 %.1f ms, p95 %.1f ms, p99 %.1f ms over %zu frames\n",
+              result.percentile(50), result.percentile(95), result.percentile(99),
+              result.milliseconds.size());
+  std::printf("rate       %.1f frames a second\n", 1000 / result.mean());
+  std::printf("arena      %.2f MB\n", static_cast<double>(stats.arena_bytes) * 1e-6);
+  std::printf("weights    %.2f MB\n", static_cast<double>(stats.weight_bytes) * 1e-6);
+  std::printf("peak RSS   %.1f MB\n", static_cast<double>(os::peak_rss_bytes()) * 1e-6);
+  std::printf("heap       %g allocations a frame\n", result.allocations_per_frame);
+}
+
+Status parse_size(const std::string& text, EngineOptions& options) {
+  char rest = 0;
+  if (std::sscanf(text.c_str(), "%5dx%5d%c", &options.width, &options.height, &rest) == 2) {
+    return Status::ok();
+  }
+  return Status::error(StatusCode::kInvalidInput, "--size %s: write it as WIDTHxHEIGHT, as 640x192",
+                       text.c_str());
+}
+
+int bench(const BenchOptions& given) {
+  const Result<Config> config = given.common.load();
+  if (!config) return report_unusable(config.status());
+  EngineOptions options = engine_options(*config);
+  if (given.threads > 0) options.threads = given.threads;
+  if (!given.size.empty()) {
+    if (const Status status = parse_size(given.size, options); !status) {
+      std::fprintf(stderr, "lcdm: %s\n", status.text());
+      return kExitUsage;
+    }
+  } else if (options.width == 0) {
+    options.width = 640;
+    options.height = 192;
+  }
+  const Result<ModelFile> model = load_model(*config);
+  if (!model) return report_unusable(model.status());
+  const Result<BenchResult> result = measure(*model, options);
+  if (!result) return report_unusable(result.status());
+  given.json ? print_json(*result) : print_text(*result);
+  return kExitOk;
+}
+
+}  // namespace
+
+void add_bench_command(CLI::App& program, int& exit_code) {
+  auto options = std::make_shared<BenchOptions>();
+  CLI::App* command =
+      program.add_subcommand("bench", "Latency, rate and memory of the engine on this machine");
+  command
+      ->add_option("--threads", options->threads,
+                   "Threads of the engine (default: model.threads of the configuration)")
+      ->check(CLI::Range(1, EngineOptions::kMaxThreads));
+  command->add_option("--size", options->size, "Network input, multiples of 32 (default: 640x192)")
+      ->type_name("WxH");
+  command->add_flag("--json", options->json, "Print JSON");
+  options->common.add_to(*command);
+  command->callback([options, &exit_code] { exit_code = bench(*options); });
+}
+
+}  // namespace lcdm

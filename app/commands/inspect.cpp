@@ -1,0 +1,81 @@
+// lcdm inspect model [FILE]: what a model file is, and the network made from it, layer by layer.
+#include <cstdio>
+#include <memory>
+#include <string>
+
+#include "app/commands/commands.h"
+#include "app/common_options.h"
+#include "app/exit_code.h"
+#include "app/report.h"
+#include "firmware/nn/network_plan.h"
+
+namespace lcdm {
+namespace {
+
+constexpr CameraModel kWideCamera{1242, 375, 720, 720, 621, 187, false};
+
+void print_model(const ModelFile& file) {
+  const ModelConfig& config = file.config();
+  std::printf("name     %s\n", config.name.c_str());
+  std::printf("licence  %s\n", config.licence.c_str());
+  std::printf("network  encoder %s, preset %s, %zu sampling steps, %s scale\n",
+              to_string(config.encoder), to_string(config.preset), config.steps.size(),
+              to_string(config.scale));
+  std::printf("file     %zu bytes, %zu tensors, hash %016llx\n", file.file_bytes(),
+              file.tensors().size(), static_cast<unsigned long long>(file.hash()));
+  std::printf("card     %s\n\n", config.card.c_str());
+}
+
+void print_plan(const Network& network) {
+  std::printf("%-44s %-14s %18s %12s %10s %10s %9s\n", "layer", "kind", "height x width x c",
+              "MACs", "offset", "bytes", "steps");
+  std::int64_t macs = 0;
+  std::size_t end = 0;
+  for (const PlanRow& row : plan_rows(network)) {
+    char shape[32];
+    std::snprintf(shape, sizeof(shape), "%d x %d x %d", row.shape.height, row.shape.width,
+                  row.shape.channels);
+    char steps[24];
+    std::snprintf(steps, sizeof(steps), "%d-%d", row.first, row.last);
+    std::printf("%-44s %-14s %18s %12lld %10zu %10zu %9s\n", row.name.c_str(), row.kind, shape,
+                static_cast<long long>(row.macs), row.offset, row.bytes, steps);
+    macs += row.macs;
+    end = std::max(end, row.offset + row.bytes);
+  }
+  std::printf("\n%.3f GMAC a frame, %.2f MB for the layers' outputs\n",
+              static_cast<double>(macs) * 1e-9, static_cast<double>(end) * 1e-6);
+}
+
+int inspect(const CommonOptions& common) {
+  const Result<Config> config = common.load();
+  if (!config) return report_unusable(config.status());
+  const Result<ModelFile> file = load_model(*config);
+  if (!file) return report_unusable(file.status());
+  NetworkSize size{config->model.width, config->model.height};
+  if (size.width == 0) size = choose_network_size(kWideCamera);
+  const auto network = Network::build(file->config(), size.width, size.height);
+  if (!network) return report_unusable(network.status());
+  print_model(*file);
+  print_plan(*network);
+  return kExitOk;
+}
+
+}  // namespace
+
+void add_inspect_command(CLI::App& program, int& exit_code) {
+  auto common = std::make_shared<CommonOptions>();
+  CLI::App* command = program.add_subcommand("inspect", "Look inside a file");
+  command->require_subcommand(1);
+  CLI::App* model = command->add_subcommand(
+      "model", "Name, licence and card; every layer with shape, MACs and place in the arena");
+  model->add_option("file", common->model, "The weights (default: the released ones)")
+      ->type_name("FILE");
+  model
+      ->add_option("--set", common->assignments,
+                   "model.width and model.height choose the input size (default: 640x192)")
+      ->type_name("KEY=VALUE")
+      ->allow_extra_args(false);
+  model->callback([common, &exit_code] { exit_code = inspect(*common); });
+}
+
+}  // namespace lcdm

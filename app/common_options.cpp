@@ -1,0 +1,75 @@
+#include "app/common_options.h"
+
+#include <algorithm>
+#include <array>
+#include <filesystem>
+#include <system_error>
+
+#include "firmware/base/os.h"
+
+namespace lcdm {
+
+void CommonOptions::add_to(CLI::App& command) {
+  command.add_option("--config", config_file, "Configuration file (default: /etc/lcdm/lcdm.toml)")
+      ->type_name("FILE");
+  command.add_option("--set", assignments, "One value, as section.key=value; may be repeated")
+      ->type_name("KEY=VALUE")
+      ->allow_extra_args(false);
+  command.add_option("--model", model, "Weights (default: the released ones)")->type_name("FILE");
+}
+
+Result<Config> CommonOptions::load(std::vector<ConfigAssignment> more) const {
+  ConfigSources sources;
+  sources.file = config_file.empty() ? default_config_file() : config_file;
+  sources.environment = process_environment();
+  for (const std::string& text : assignments)
+    sources.assignments.push_back({text, "--set " + text});
+  for (ConfigAssignment& assignment : more) sources.assignments.push_back(std::move(assignment));
+  if (!model.empty()) sources.assignments.push_back({"model.file=" + model, "--model " + model});
+  return load_config(sources);
+}
+
+std::string find_default_model() {
+  namespace fs = std::filesystem;
+  std::error_code error;
+  // The program lies in build/PRESET/bin of a checkout, or is installed.
+  const fs::path program = fs::read_symlink("/proc/self/exe", error).parent_path();
+  const std::array<fs::path, 2> folders = {program / "../../../model/weights", "/usr/share/lcdm"};
+  for (const fs::path& folder : folders) {
+    for (const char* name : {"lcdm-xs.safetensors", "lcdm-xxs.safetensors"}) {
+      const fs::path file = fs::weakly_canonical(folder / name, error);
+      if (fs::is_regular_file(file, error)) return file.string();
+    }
+  }
+  return {};
+}
+
+Result<ModelFile> load_model(const Config& config) {
+  const std::string file = config.model.file.empty() ? find_default_model() : config.model.file;
+  if (file.empty()) {
+    return Status::error(StatusCode::kNotFound,
+                         "no model found beside the program or in /usr/share/lcdm: give one with "
+                         "--model FILE or model.file");
+  }
+  return ModelFile::load(file);
+}
+
+EngineOptions engine_options(const Config& config) {
+  EngineOptions options;
+  options.width = config.model.width;
+  options.height = config.model.height;
+  options.threads =
+      config.model.threads > 0 ? config.model.threads : std::max(1, os::processor_count() - 1);
+  return options;
+}
+
+CaptureRequest capture_request(const Config& config) {
+  CaptureRequest request;
+  request.width = config.camera.width;
+  request.height = config.camera.height;
+  request.frames_per_second = static_cast<float>(config.camera.frames_per_second);
+  request.assumed_field_of_view = static_cast<float>(config.camera.field_of_view);
+  return request;
+}
+
+}  // namespace lcdm

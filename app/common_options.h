@@ -1,0 +1,35 @@
+// The options that several commands share, and what they lead to.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <string>
+#include <vector>
+
+#include "app/config.h"
+#include "firmware/base/status.h"
+#include "firmware/nn/engine.h"
+#include "firmware/pipeline/camera.h"
+
+namespace lcdm {
+
+// --config, --set and --model. Lives as long as the command line is parsed and its command runs.
+struct CommonOptions {
+  std::string config_file;
+  std::vector<std::string> assignments;
+  std::string model;
+
+  void add_to(CLI::App& command);
+  // Defaults, file, environment, --set, then `more` and --model: later ones win.
+  Result<Config> load(std::vector<ConfigAssignment> more = {}) const;
+};
+
+// The released model beside the program: in this checkout, or installed. Empty when there is none.
+std::string find_default_model();
+
+// Reads the configured model, or the default one. The text of an error names the file.
+Result<ModelFile> load_model(const Config& config);
+
+EngineOptions engine_options(const Config& config);
+CaptureRequest capture_request(const Config& config);
+
+}  // namespace lcdm

@@ -1,0 +1,191 @@
+#include "app/live_view.h"
+
+#include <algorithm>
+#include <cstdio>
+#include <cstring>
+#include <utility>
+
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+constexpr int kJpegQuality = 85;
+constexpr std::size_t kJpegHead = 4096;
+constexpr int kNiceSteps = 5;
+
+// Bytes from a frame's first pixel to its last.
+std::size_t picture_bytes(const FrameView& view) {
+  return static_cast<std::size_t>(view.format.stride) *
+             static_cast<std::size_t>(view.format.height - 1) +
+         static_cast<std::size_t>(packed_stride(view.format.pixel, view.format.width));
+}
+
+std::size_t depth_values(const DepthFrame& frame) {
+  return static_cast<std::size_t>(frame.camera.width) *
+         static_cast<std::size_t>(frame.camera.height);
+}
+
+}  // namespace
+
+LiveView::LiveView(std::string source_name) : source_name_(std::move(source_name)) {
+  thread_ = std::thread([this] { run(); });
+}
+
+void LiveView::stop() {
+  {
+    const std::lock_guard lock(mutex_);
+    stopping_ = true;
+  }
+  offered_.notify_all();
+  if (thread_.joinable()) thread_.join();
+  for (Slot& each : slots_) {
+    const std::lock_guard lock(each.mutex);
+    each.closed = true;
+    each.filled.notify_all();
+  }
+}
+
+void LiveView::offer(const DepthFrame& frame) noexcept {
+  const std::uint64_t number = number_.load(std::memory_order_relaxed) + 1;
+  number_.store(number, std::memory_order_relaxed);
+  const bool anybody = std::any_of(slots_.begin(), slots_.end(),
+                                   [](const Slot& each) { return each.subscribers.load() > 0; });
+  if (!anybody) return;
+  const std::unique_lock lock(mutex_, std::try_to_lock);
+  if (!lock) return;
+  const std::size_t colour_bytes = picture_bytes(frame.pixels);
+  const std::size_t depth_count = depth_values(frame);
+  if (colour_bytes > incoming_.colour.size() || depth_count > incoming_.depth.size()) {
+    needed_colour_ = colour_bytes;  // the encode thread makes room; the next frame fits
+    needed_depth_ = depth_count;
+  } else {
+    std::memcpy(incoming_.colour.data(), frame.pixels.data, colour_bytes);
+    std::memcpy(incoming_.depth.data(), frame.millimetres, depth_count * sizeof(std::uint16_t));
+    incoming_.frame = frame;
+    incoming_.frame.colour = {};  // not copied
+    incoming_.number = number;
+  }
+  offered_.notify_one();
+}
+
+// ---- encode thread ------------------------------------------------------------------------------
+
+void LiveView::run() {
+  os::set_thread_name("encode");
+  os::lower_thread_priority(kNiceSteps);
+  while (fetch()) encode();
+}
+
+// Swaps the newest offered frame into working_. False when it is time to end.
+bool LiveView::fetch() {
+  std::unique_lock lock(mutex_);
+  while (true) {
+    if (stopping_) return false;
+    if (needed_colour_ > 0) {
+      for (FrameCopy* copy : {&incoming_, &working_}) {
+        copy->colour.resize(std::max(copy->colour.size(), needed_colour_));
+        copy->depth.resize(std::max(copy->depth.size(), needed_depth_));
+      }
+      needed_colour_ = 0;
+    }
+    if (incoming_.number > working_.number) break;
+    offered_.wait(lock);
+  }
+  std::swap(incoming_, working_);
+  working_.frame.pixels.data = working_.colour.data();
+  working_.frame.millimetres = working_.depth.data();
+  return true;
+}
+
+void LiveView::encode() {
+  if (wanted(Product::kLive) || wanted(Product::kColourJpeg)) encode_colour();
+  if (wanted(Product::kDepthJpeg) || wanted(Product::kSideJpeg)) encode_painted();
+  if (wanted(Product::kDepthPng)) encode_png();
+}
+
+void LiveView::encode_colour() {
+  if (!encode_jpeg(colour_jpeg_, working_.frame.pixels)) return;
+  if (wanted(Product::kColourJpeg)) publish(Product::kColourJpeg, 0);
+  if (!wanted(Product::kLive)) return;
+  const std::size_t jpeg_bytes = encoded_.size();
+  const auto raw = std::as_bytes(std::span(working_.depth).first(depth_values(working_.frame)));
+  encoded_.insert(encoded_.end(), raw.begin(), raw.end());
+  publish(Product::kLive, jpeg_bytes);
+}
+
+void LiveView::encode_painted() {
+  const std::span<const std::uint16_t> depth =
+      std::span(working_.depth).first(depth_values(working_.frame));
+  if (const auto range = range_of(depth)) {
+    colours_.set_range(has_range_ ? approach(colours_.range(), *range) : *range);
+    has_range_ = true;
+  }
+  depth_picture_.resize(working_.frame.camera.width, working_.frame.camera.height);
+  colours_.paint(depth, depth_picture_.pixels);
+  if (wanted(Product::kDepthJpeg) && encode_jpeg(depth_jpeg_, depth_picture_)) {
+    publish(Product::kDepthJpeg, 0);
+  }
+  if (!wanted(Product::kSideJpeg)) return;
+  to_rgb(working_.frame.pixels, colour_picture_);
+  put_side_by_side(colour_picture_, depth_picture_, side_picture_);
+  if (encode_jpeg(side_jpeg_, side_picture_)) publish(Product::kSideJpeg, 0);
+}
+
+void LiveView::encode_png() {
+  const DepthFrame& frame = working_.frame;
+  const std::array<ImageText, 5> texts = {{{"scale", to_string(frame.scale)},
+                                           {"unit", "millimetre"},
+                                           {"source", source_name_},
+                                           {"sequence", std::to_string(frame.meta.sequence)},
+                                           {"unix_ns", std::to_string(frame.meta.unix_ns)}}};
+  const Status status = encode_depth_png(std::span(working_.depth).first(depth_values(frame)),
+                                         frame.camera.width, frame.camera.height, texts, encoded_);
+  if (status) publish(Product::kDepthPng, 0);
+}
+
+bool LiveView::encode_jpeg(Jpeg& jpeg, const RgbPicture& picture) {
+  const FrameFormat format{PixelFormat::kRgb24, picture.width, picture.height, picture.width * 3};
+  return encode_jpeg(jpeg, FrameView{format, {}, picture.pixels.data(), picture.pixels.size()});
+}
+
+// Into encoded_.
+bool LiveView::encode_jpeg(Jpeg& jpeg, const FrameView& picture) {
+  if (picture.format != jpeg.format) {
+    jpeg.format = {};
+    if (!jpeg.encoder.prepare(picture.format, kJpegQuality)) return false;
+    jpeg.format = picture.format;
+  }
+  encoded_.resize(picture_bytes(picture) * 2 + kJpegHead);  // enough for a JPEG of noise
+  const Result<std::size_t> bytes = jpeg.encoder.encode(picture, encoded_);
+  if (bytes) encoded_.resize(*bytes);
+  return bytes.is_ok();
+}
+
+void LiveView::publish(Product product, std::size_t jpeg_bytes) {
+  Slot& target = slot(product);
+  {
+    const std::lock_guard lock(target.mutex);
+    const DepthFrame& frame = working_.frame;
+    target.product = {working_.number, frame.meta, frame.camera,
+                      frame.scale,     jpeg_bytes, std::move(target.product.bytes)};
+    target.product.bytes.assign(encoded_.begin(), encoded_.end());
+  }
+  target.filled.notify_all();
+}
+
+// ---- viewers' threads ---------------------------------------------------------------------------
+
+LiveView::Wait LiveView::wait_newer(Product product, std::uint64_t after,
+                                    std::chrono::milliseconds timeout, ProductCopy& out) {
+  Slot& source = slot(product);
+  std::unique_lock lock(source.mutex);
+  const bool came = source.filled.wait_for(
+      lock, timeout, [&] { return source.closed || source.product.number > after; });
+  if (source.closed) return Wait::kClosed;
+  if (!came) return Wait::kTimeout;
+  out = source.product;
+  return Wait::kNewer;
+}
+
+}  // namespace lcdm

@@ -1,0 +1,31 @@
+// The program lcdm: finds the command that was asked for and runs it.
+#include <cstdio>
+#include <exception>
+
+#include "app/commands/commands.h"
+#include "app/exit_code.h"
+
+int main(int argc, char** argv) {
+  try {
+    CLI::App program("LCDM-Mono: depth from one camera", "lcdm");
+    program.require_subcommand(1);
+    int exit_code = lcdm::kExitOk;
+    lcdm::add_run_command(program, exit_code);
+    lcdm::add_infer_command(program, exit_code);
+    lcdm::add_bench_command(program, exit_code);
+    lcdm::add_inspect_command(program, exit_code);
+    lcdm::add_check_command(program, exit_code);
+    lcdm::add_version_command(program, exit_code);
+    try {
+      program.parse(argc, argv);
+    } catch (const CLI::ParseError& error) {
+      if (error.get_exit_code() == 0) return program.exit(error);  // --help
+      std::fprintf(stderr, "lcdm: %s (see lcdm --help)\n", error.what());
+      return lcdm::kExitUsage;
+    }
+    return exit_code;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "lcdm: %s\n", error.what());
+    return lcdm::kExitFailure;
+  }
+}

@@ -1,0 +1,68 @@
+#include "app/status_json.h"
+
+#include <cstdio>
+
+#include "app/version.h"
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+double milliseconds(std::int64_t ns) { return ns < 0 ? -1 : static_cast<double>(ns) * 1e-6; }
+
+nlohmann::json model_json(const EngineStats& stats) {
+  char hash[24];
+  std::snprintf(hash, sizeof(hash), "%016llx", static_cast<unsigned long long>(stats.model_hash));
+  return {{"name", stats.model_name},
+          {"licence", stats.model_licence},
+          {"hash", hash},
+          {"width", stats.width},
+          {"height", stats.height},
+          {"threads", stats.threads},
+          {"arena_bytes", stats.arena_bytes},
+          {"weight_bytes", stats.weight_bytes}};
+}
+
+nlohmann::json frames_json(const HealthSnapshot& now) {
+  return {{"captured", now.captured}, {"inferred", now.inferred},
+          {"dropped", now.dropped},   {"corrupt", now.corrupt},
+          {"failed", now.failed},     {"timeouts", now.timeouts},
+          {"reopened", now.reopened}, {"sequence_gaps", now.sequence_gaps}};
+}
+
+}  // namespace
+
+nlohmann::json status_json(const Pipeline& pipeline, int viewers, std::int64_t started_ns) {
+  const std::int64_t now_ns = os::monotonic_ns();
+  const HealthSnapshot now = pipeline.health().snapshot(now_ns);
+  const Pipeline::Source source = pipeline.source();
+  const Pipeline::EngineView engine = pipeline.engine();
+  return {
+      {"version", kVersion},
+      {"state", to_string(now.state)},
+      {"fault", pipeline.fault()},
+      {"uptime_s", static_cast<double>(now_ns - started_ns) * 1e-9},
+      {"viewers", viewers},
+      {"frames_per_second", now.frames_per_second},
+      {"frame",
+       {{"sequence", now.sequence},
+        {"age_ms", milliseconds(now.frame_age_ns)},
+        {"latency_ms", milliseconds(now.latency_ns)}}},
+      {"inference_ms",
+       {{"p50", milliseconds(now.inference_p50_ns)}, {"p99", milliseconds(now.inference_p99_ns)}}},
+      {"frames", frames_json(now)},
+      {"source",
+       {{"uri", source.info.uri},
+        {"description", source.info.description},
+        {"pixel_format", to_string(source.format.pixel)},
+        {"width", source.format.width},
+        {"height", source.format.height}}},
+      {"depth",
+       {{"scale", to_string(engine.scale)},
+        {"width", engine.depth_camera.width},
+        {"height", engine.depth_camera.height}}},
+      {"model", model_json(engine.stats)},
+  };
+}
+
+}  // namespace lcdm

@@ -1,0 +1,167 @@
+#include "app/web_service.h"
+
+#include <array>
+#include <chrono>
+#include <cstdio>
+#include <string>
+
+#include "app/status_json.h"
+#include "app/web_files.h"
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+using std::chrono::milliseconds;
+using Wait = LiveView::Wait;
+
+// How long a request for one picture waits for the next frame.
+constexpr milliseconds kPictureWait{3000};
+// A viewer hears from us at least this often, frames or not.
+constexpr milliseconds kSignOfLife{1000};
+// A thread without a sign of life for this long hangs. The slowest network on the slowest board
+// needs less for a frame.
+constexpr std::int64_t kHeartbeatDeadlineNs = 10'000'000'000;
+
+constexpr const char* kJson = "application/json";
+constexpr const char* kText = "text/plain; charset=utf-8";
+
+struct Service {
+  const Pipeline& pipeline;
+  LiveView& view;
+  std::int64_t started_ns;
+
+  nlohmann::json status(const HttpExchange& exchange) const {
+    return status_json(pipeline, exchange.viewers(), started_ns);
+  }
+};
+using ServicePtr = std::shared_ptr<const Service>;
+
+HttpRoute file_route(const std::string& path, const std::string& name, const std::string& type) {
+  return {path, "GET", false,
+          [name, type](HttpExchange& exchange) { exchange.send(200, type, find_web_file(name)); }};
+}
+
+void send_health(const Service& service, HttpExchange& exchange) {
+  const HealthSnapshot now = service.pipeline.health().snapshot(os::monotonic_ns());
+  const bool hangs = now.capture_heartbeat_age_ns > kHeartbeatDeadlineNs ||
+                     now.infer_heartbeat_age_ns > kHeartbeatDeadlineNs;
+  const bool well = now.state == PipelineState::kStreaming && !hangs;
+  exchange.send_text(well ? 200 : 503, kText,
+                     std::string(hangs ? "a thread hangs" : to_string(now.state)) + "\n");
+}
+
+// Everything that one must know to use the depth rightly, as headers.
+HttpHeaders depth_headers(const ProductCopy& product) {
+  char age[32];
+  std::snprintf(age, sizeof(age), "%.1f",
+                static_cast<double>(os::monotonic_ns() - product.meta.sensor_ns) * 1e-6);
+  return {{"X-Depth-Scale", to_string(product.scale)},
+          {"X-Depth-Unit", "millimetre"},
+          {"X-Frame-Sequence", std::to_string(product.meta.sequence)},
+          {"X-Frame-Stamp", std::to_string(product.meta.unix_ns)},
+          {"X-Frame-Age", age}};
+}
+
+void send_depth_png(const Service& service, HttpExchange& exchange) {
+  LiveView::Subscription subscription(service.view, Product::kDepthPng);
+  ProductCopy product;
+  if (subscription.wait_newer(service.view.newest(), kPictureWait, product) != Wait::kNewer) {
+    exchange.send_text(503, kText, "no signal: " + service.pipeline.fault() + "\n",
+                       {{"Retry-After", "1"}});
+    return;
+  }
+  exchange.send(200, "image/png", product.bytes, depth_headers(product));
+}
+
+void stream_mjpeg(const Service& service, HttpExchange& exchange) {
+  const std::string wanted = exchange.query("view");
+  if (!wanted.empty() && wanted != "colour" && wanted != "depth") {
+    exchange.send_text(400, kText, "view is colour or depth, or left out for both\n");
+    return;
+  }
+  const Product kind = wanted == "colour"  ? Product::kColourJpeg
+                       : wanted == "depth" ? Product::kDepthJpeg
+                                           : Product::kSideJpeg;
+  LiveView::Subscription subscription(service.view, kind);
+  if (!exchange.begin_stream("multipart/x-mixed-replace; boundary=frame")) return;
+  ProductCopy product;
+  product.number = service.view.newest();
+  bool open = true;
+  while (open) {
+    const Wait wait = subscription.wait_newer(product.number, kSignOfLife, product);
+    if (wait == Wait::kClosed) return;
+    if (wait == Wait::kTimeout) {
+      open = exchange.write_text("\r\n");  // notices that the viewer has gone
+      continue;
+    }
+    std::string head = "--frame\r\nContent-Type: image/jpeg\r\nContent-Length: " +
+                       std::to_string(product.bytes.size()) + "\r\n";
+    for (const auto& [name, value] : depth_headers(product)) head += name + ": " + value + "\r\n";
+    open = exchange.write_text(head + "\r\n") && exchange.write(product.bytes) &&
+           exchange.write_text("\r\n");
+  }
+}
+
+std::array<std::byte, 16> live_head(std::size_t json, std::size_t jpeg, std::size_t depth) {
+  std::array<std::byte, 16> head{std::byte{'L'}, std::byte{'C'}, std::byte{'D'}, std::byte{'M'}};
+  std::size_t at = 4;
+  for (const std::size_t value : {json, jpeg, depth}) {
+    for (int shift = 0; shift < 32; shift += 8) head[at++] = static_cast<std::byte>(value >> shift);
+  }
+  return head;
+}
+
+// The page's stream (web/live.js reads it): status, colour and depth of the same frame.
+void stream_live(const Service& service, HttpExchange& exchange) {
+  LiveView::Subscription subscription(service.view, Product::kLive);
+  if (!exchange.begin_stream("application/octet-stream")) return;
+  ProductCopy product;
+  product.number = service.view.newest();
+  bool open = true;
+  while (open) {
+    const Wait wait = subscription.wait_newer(product.number, kSignOfLife, product);
+    if (wait == Wait::kClosed) return;
+    const bool came = wait == Wait::kNewer;
+    nlohmann::json status = service.status(exchange);
+    if (came) {
+      status["picture"] = {{"sequence", product.meta.sequence},
+                           {"width", product.camera.width},
+                           {"height", product.camera.height}};
+    }
+    const std::string json = status.dump();
+    const std::size_t jpeg = came ? product.jpeg_bytes : 0;
+    const std::size_t depth = came ? product.bytes.size() - jpeg : 0;
+    open = exchange.write(live_head(json.size(), jpeg, depth)) && exchange.write_text(json) &&
+           (!came || exchange.write(product.bytes));
+  }
+}
+
+}  // namespace
+
+std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view) {
+  const ServicePtr service =
+      std::make_shared<const Service>(Service{pipeline, view, os::monotonic_ns()});
+  const auto route = [&](const char* path, bool is_stream, auto handler) {
+    return HttpRoute{path, "GET", is_stream,
+                     [service, handler](HttpExchange& exchange) { handler(*service, exchange); }};
+  };
+  return {
+      file_route("/", "index.html", "text/html; charset=utf-8"),
+      file_route("/style.css", "style.css", "text/css; charset=utf-8"),
+      file_route("/page.js", "page.js", "text/javascript; charset=utf-8"),
+      file_route("/live.js", "live.js", "text/javascript; charset=utf-8"),
+      file_route("/depth.js", "depth.js", "text/javascript; charset=utf-8"),
+      file_route("/icon.svg", "icon.svg", "image/svg+xml"),
+      route("/live", true, stream_live),
+      route("/stream.mjpg", true, stream_mjpeg),
+      route("/depth.png", false, send_depth_png),
+      route("/status.json", false,
+            [](const Service& s, HttpExchange& exchange) {
+              exchange.send_text(200, kJson, s.status(exchange).dump(2) + "\n");
+            }),
+      route("/healthz", false, send_health),
+  };
+}
+
+}  // namespace lcdm

@@ -1,0 +1,320 @@
+// The real program, as scripts and people use it: exit statuses, one line for each bad input, and
+// the interfaces that scripts rely on.
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <iterator>
+#include <nlohmann/json.hpp>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <opencv2/videoio.hpp>
+
+#include "app/http_server.h"
+#include "tests/app/program.h"
+#include "tests/app/raw_client.h"
+#include "tests/support/random_model.h"
+
+namespace lcdm {
+namespace {
+
+namespace fs = std::filesystem;
+using test::Program;
+using testing::ContainsRegex;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+struct Outcome {
+  int status;
+  std::string text;
+};
+
+class Cli : public testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = fs::path(testing::TempDir()) / "lcdm_cli" /
+              testing::UnitTest::GetInstance()->current_test_info()->name();
+    fs::remove_all(folder_);
+    fs::create_directories(folder_);
+    model_ = folder_ / "model.safetensors";
+    const auto config = test::make_config(EncoderKind::kXxs, PresetKind::kLcdm);
+    const auto image = test::make_random_model(config, 1);
+    write_bytes(model_, image);
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  static void write_bytes(const fs::path& path, const std::vector<std::byte>& bytes) {
+    std::ofstream(path, std::ios::binary)
+        .write(reinterpret_cast<const char*>(bytes.data()),
+               static_cast<std::streamsize>(bytes.size()));
+  }
+  static void write_text(const fs::path& path, const std::string& text) {
+    std::ofstream(path) << text;
+  }
+
+  static Outcome lcdm(const std::vector<std::string>& arguments) {
+    Program program(LCDM_PROGRAM, arguments);
+    const int status = program.wait();
+    return {status, program.text()};
+  }
+
+  // Expects one line that says `wanted` and the status.
+  static void expect_refusal(const std::vector<std::string>& arguments, int status,
+                             const std::string& wanted) {
+    const Outcome outcome = lcdm(arguments);
+    EXPECT_EQ(outcome.status, status) << outcome.text;
+    EXPECT_THAT(outcome.text, StartsWith("lcdm: "));
+    EXPECT_THAT(outcome.text, HasSubstr(wanted));
+    EXPECT_EQ(std::count(outcome.text.begin(), outcome.text.end(), '\n'), 1) << outcome.text;
+  }
+
+  // A folder of two pictures of different sizes.
+  fs::path make_images() const {
+    const fs::path images = folder_ / "images";
+    fs::create_directories(images);
+    cv::imwrite((images / "wide.png").string(), cv::Mat(60, 200, CV_8UC3, {40, 80, 120}));
+    cv::imwrite((images / "tall.jpg").string(), cv::Mat(160, 90, CV_8UC3, {120, 80, 40}));
+    return images;
+  }
+
+  std::vector<std::string> small(std::vector<std::string> arguments) const {
+    for (const char* each : {"--set", "model.width=96", "--set", "model.height=64", "--model"}) {
+      arguments.emplace_back(each);
+    }
+    arguments.push_back(model_.string());
+    return arguments;
+  }
+
+  fs::path folder_;
+  fs::path model_;
+};
+
+TEST_F(Cli, SaysItsVersionAndHelps) {
+  EXPECT_THAT(lcdm({"version"}).text, ContainsRegex("^lcdm [0-9]+\\.[0-9]+\\.[0-9]+\n$"));
+  for (const char* command : {"run", "infer", "bench", "inspect", "check", "version"}) {
+    const Outcome help = lcdm({command, "--help"});
+    EXPECT_EQ(help.status, 0) << command;
+    EXPECT_THAT(help.text, HasSubstr("--help")) << command;
+  }
+  EXPECT_THAT(lcdm({"--help"}).text, HasSubstr("infer"));
+}
+
+TEST_F(Cli, RefusesACommandLineItDoesNotUnderstand) {
+  expect_refusal({}, 2, "subcommand");
+  expect_refusal({"fly"}, 2, "see lcdm --help");
+  expect_refusal({"run", "--fast"}, 2, "--fast");
+  expect_refusal({"infer", "--source", "scene:"}, 2, "--output");
+  expect_refusal({"bench", "--threads", "0"}, 2, "--threads");
+  expect_refusal({"bench", "--size", "big"}, 2, "640x192");
+}
+
+TEST_F(Cli, CheckNamesTheLineThatIsWrong) {
+  const fs::path file = folder_ / "lcdm.toml";
+  write_text(file, "[camera]\nwidth = 640\n");
+  const Outcome valid = lcdm({"check", file.string()});
+  EXPECT_EQ(valid.status, 0);
+  EXPECT_THAT(valid.text, HasSubstr("valid"));
+  EXPECT_EQ(lcdm({"check", "systemd/lcdm.toml"}).status, 0);
+  write_text(file, "[camera]\nwidht = 640\n");
+  expect_refusal({"check", file.string()}, 78, "lcdm.toml:2:9: no key camera.widht");
+  write_text(file, "[http]\nport = 123456\n");
+  expect_refusal({"check", file.string()}, 78, "lcdm.toml:2:8: http.port = 123456");
+  expect_refusal({"check", "/nowhere/lcdm.toml"}, 78, "cannot read");
+}
+
+TEST_F(Cli, RunRefusesBadConfiguration) {
+  const fs::path file = folder_ / "lcdm.toml";
+  write_text(file, "[model]\nthreds = 1\n");
+  expect_refusal({"run", "--config", file.string()}, 78, "no key model.threds");
+  expect_refusal({"run", "--set", "http.port=x"}, 78, "--set http.port=x");
+  expect_refusal({"run", "--source", "webcam"}, 78, "--source webcam");
+  expect_refusal({"run", "--listen", "example.org"}, 78, "numeric address");
+  Program program(LCDM_PROGRAM, {"run"}, {"LCDM_CAMERA_WIDTH=wide"});
+  EXPECT_EQ(program.wait(), 78);
+  EXPECT_THAT(program.text(), HasSubstr("LCDM_CAMERA_WIDTH"));
+}
+
+TEST_F(Cli, RefusesAModelThatIsMissingTruncatedOrHostile) {
+  expect_refusal({"run", "--source", "scene:", "--model", "/nowhere.safetensors"}, 78,
+                 "/nowhere.safetensors");
+  auto bytes = test::make_random_model(test::make_config(EncoderKind::kXxs, PresetKind::kLcdm), 1);
+  bytes.resize(bytes.size() / 2);
+  const fs::path truncated = folder_ / "truncated.safetensors";
+  write_bytes(truncated, bytes);
+  expect_refusal({"run", "--source", "scene:", "--model", truncated.string()}, 78, "truncated");
+  const fs::path hostile = folder_ / "hostile.safetensors";
+  write_text(hostile, std::string(8, '\xff') + "{}");
+  expect_refusal({"bench", "--model", hostile.string()}, 78, "hostile.safetensors");
+  expect_refusal({"inspect", "model", hostile.string()}, 78, "hostile.safetensors");
+  expect_refusal({"infer", "--source", "scene:", "--output", (folder_ / "out").string(), "--model",
+                  hostile.string()},
+                 78, "hostile.safetensors");
+  EXPECT_FALSE(fs::exists(folder_ / "out")) << "nothing half-started";
+}
+
+TEST_F(Cli, RefusesASourceThatIsMissingOrBroken) {
+  const std::string model = model_.string();
+  const auto run = [&](const std::string& source, const std::string& wanted) {
+    expect_refusal({"run", "--port", "0", "--model", model, "--source", source}, 1, wanted);
+    expect_refusal(
+        {"infer", "--output", (folder_ / "out").string(), "--model", model, "--source", source}, 1,
+        wanted);
+    EXPECT_FALSE(fs::exists(folder_ / "out")) << "nothing half-started";
+  };
+  run("v4l2:/dev/video99", "/dev/video99");
+  run("v4l2:/dev/null", "/dev/null");
+  run("file:/nowhere.mp4", "/nowhere.mp4");
+  run("mcap:/nowhere.mcap", "/nowhere.mcap");
+  write_text(folder_ / "video.mp4", "this is no video");
+  run("file:" + (folder_ / "video.mp4").string(), "video.mp4");
+  fs::create_directories(folder_ / "empty");
+  run("file:" + (folder_ / "empty").string(), "empty");
+}
+
+TEST_F(Cli, RunRefusesAPortInUse) {
+  HttpOptions options;
+  options.listen = "127.0.0.1";
+  const auto other = HttpServer::start(options, {});
+  ASSERT_TRUE(other);
+  const std::string port = std::to_string((*other)->port());
+  expect_refusal({"run", "--source", "scene:", "--model", model_.string(), "--port", port}, 1,
+                 "127.0.0.1:" + port);
+}
+
+TEST_F(Cli, RunServesItsPageAndEndsWithinASecond) {
+  for (const int signal : {SIGTERM, SIGINT}) {
+    Program program(LCDM_PROGRAM, small({"run", "--source", "scene:", "--port", "0"}));
+    ASSERT_TRUE(program.wait_for("page    http://127.0.0.1:")) << program.text();
+    ASSERT_TRUE(program.wait_for("streaming")) << program.text();
+    const std::size_t at = program.text().find("http://127.0.0.1:") + 17;
+    const int port = std::stoi(program.text().substr(at));
+
+    EXPECT_THAT(test::get(port, "/"), HasSubstr("<title>LCDM-Mono</title>"));
+    EXPECT_THAT(test::get(port, "/healthz"), StartsWith("HTTP/1.1 200 "));
+    const std::string answer = test::get(port, "/status.json");
+    const auto status = nlohmann::json::parse(answer.substr(answer.find("\r\n\r\n")));
+    EXPECT_EQ(status["state"], "streaming");
+    EXPECT_EQ(status["source"]["uri"], "scene:1");
+    EXPECT_EQ(status["depth"]["scale"], "relative");
+    EXPECT_GE(status["frame"]["age_ms"], 0);
+
+    test::RawClient viewer(port);
+    viewer.send("GET /stream.mjpg HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
+    EXPECT_THAT(viewer.read(5000, 2000), HasSubstr("X-Depth-Scale: relative"));
+
+    const std::int64_t begin = os::monotonic_ns();
+    kill(program.pid(), signal);
+    EXPECT_EQ(program.wait(), 0) << program.text();
+    EXPECT_LT(os::monotonic_ns() - begin, 1'000'000'000);
+  }
+}
+
+TEST_F(Cli, RunTakesTheSceneWhenThereIsNoCamera) {
+  if (!fs::exists("/dev/video0")) {
+    Program program(LCDM_PROGRAM, small({"run", "--port", "0"}));
+    ASSERT_TRUE(program.wait_for("page    http://")) << program.text();
+    EXPECT_THAT(program.text(), StartsWith("no camera found"));
+    EXPECT_THAT(program.text(), HasSubstr("showing the rendered scene"));
+  } else {
+    GTEST_SKIP() << "this machine has a camera";
+  }
+}
+
+TEST_F(Cli, DepthPngHasSixteenBitsAndSaysWhatItIs) {
+  Program program(LCDM_PROGRAM, small({"run", "--source", "scene:", "--port", "0"}));
+  ASSERT_TRUE(program.wait_for("streaming")) << program.text();
+  const std::size_t at = program.text().find("http://127.0.0.1:") + 17;
+  const std::string answer = test::get(std::stoi(program.text().substr(at)), "/depth.png");
+  const std::size_t body = answer.find("\r\n\r\n") + 4;
+  EXPECT_THAT(answer, HasSubstr("X-Depth-Scale: relative\r\n"));
+  EXPECT_THAT(answer, HasSubstr("X-Depth-Unit: millimetre\r\n"));
+  EXPECT_THAT(answer, ContainsRegex("X-Frame-Age: [0-9.]+\r\n"));
+  EXPECT_THAT(answer, HasSubstr("tEXtscale"));
+  EXPECT_THAT(answer, HasSubstr("tEXtsource"));
+  const cv::Mat bytes(1, static_cast<int>(answer.size() - body), CV_8U,
+                      const_cast<char*>(answer.data() + body));
+  const cv::Mat depth = cv::imdecode(bytes, cv::IMREAD_UNCHANGED);
+  EXPECT_EQ(depth.type(), CV_16UC1);
+  EXPECT_EQ(depth.size(), cv::Size(96, 64));
+}
+
+TEST_F(Cli, InferWritesDepthForEveryImageAtItsOwnShape) {
+  const fs::path out = folder_ / "out";
+  const Outcome outcome = lcdm({"infer", "--source", "file:" + make_images().string(), "--output",
+                                out.string(), "--model", model_.string(), "--float", "--colour"});
+  ASSERT_EQ(outcome.status, 0) << outcome.text;
+  for (const std::string name : {"tall", "wide"}) {
+    const cv::Mat depth = cv::imread((out / (name + ".png")).string(), cv::IMREAD_UNCHANGED);
+    const cv::Mat metres = cv::imread((out / (name + ".tiff")).string(), cv::IMREAD_UNCHANGED);
+    const cv::Mat colour = cv::imread((out / (name + ".jpg")).string(), cv::IMREAD_UNCHANGED);
+    ASSERT_EQ(depth.type(), CV_16UC1) << name;
+    ASSERT_EQ(metres.type(), CV_32FC1) << name;
+    ASSERT_EQ(colour.type(), CV_8UC3) << name;
+    EXPECT_EQ(depth.size(), metres.size());
+    EXPECT_EQ(depth.size(), colour.size());
+    EXPECT_EQ(depth.cols > depth.rows, name == "wide") << "the network follows the picture's shape";
+    cv::Mat rounded;
+    metres.convertTo(rounded, CV_16U, 1000);
+    EXPECT_LE(cv::norm(rounded, depth, cv::NORM_INF), 1) << "one depth in two formats";
+  }
+}
+
+TEST_F(Cli, InferNamesBrokenImagesAndGoesOn) {
+  const fs::path images = make_images();
+  write_text(images / "middle.png", "this is no picture");
+  const fs::path out = folder_ / "out";
+  const Outcome outcome =
+      lcdm(small({"infer", "--source", "file:" + images.string(), "--output", out.string()}));
+  EXPECT_EQ(outcome.status, 1);
+  EXPECT_THAT(outcome.text, HasSubstr("middle.png"));
+  EXPECT_TRUE(fs::exists(out / "wide.png")) << outcome.text;
+  EXPECT_TRUE(fs::exists(out / "tall.png")) << outcome.text;
+}
+
+TEST_F(Cli, InferTakesAsManyFramesAsAskedForFromAnEndlessSource) {
+  const fs::path out = folder_ / "out";
+  const Outcome outcome =
+      lcdm(small({"infer", "--source", "scene:7", "--output", out.string(), "--frames", "3"}));
+  EXPECT_EQ(outcome.status, 0) << outcome.text;
+  EXPECT_EQ(std::distance(fs::directory_iterator(out), fs::directory_iterator()), 3);
+}
+
+TEST_F(Cli, InferRefusesAFolderItCannotWrite) {
+  expect_refusal(small({"infer", "--source", "scene:", "--frames", "1", "--output",
+                        (model_ / "below_a_file").string()}),
+                 1, "below_a_file");
+}
+
+TEST_F(Cli, BenchPrintsTheKeysThatScriptsRead) {
+  const Outcome outcome =
+      lcdm({"bench", "--json", "--size", "96x64", "--threads", "2", "--model", model_.string()});
+  ASSERT_EQ(outcome.status, 0) << outcome.text;
+  const auto json = nlohmann::json::parse(outcome.text);
+  EXPECT_GT(json["latency_ms"]["p50"], 0);
+  EXPECT_GE(json["latency_ms"]["p99"], json["latency_ms"]["p50"]);
+  EXPECT_GT(json["frames_per_second"], 0);
+  EXPECT_GT(json["arena_bytes"], 0);
+  EXPECT_GT(json["weight_bytes"], 1'000'000);
+  EXPECT_GT(json["peak_rss_bytes"], json["weight_bytes"]);
+  EXPECT_EQ(json["allocations_per_frame"], 0);
+  EXPECT_EQ(json["threads"], 2);
+  EXPECT_EQ(json["width"], 96);
+  EXPECT_EQ(json["height"], 64);
+}
+
+TEST_F(Cli, BenchRefusesASizeTheNetworkCannotHave) {
+  expect_refusal({"bench", "--size", "100x64", "--model", model_.string()}, 78, "32");
+}
+
+TEST_F(Cli, InspectShowsTheModelLayerByLayer) {
+  const Outcome outcome = lcdm({"inspect", "model", model_.string()});
+  EXPECT_EQ(outcome.status, 0);
+  for (const char* wanted :
+       {"licence", "encoder xxs", "encoder.stem", "decoder.condition", "640", "GMAC"}) {
+    EXPECT_THAT(outcome.text, HasSubstr(wanted));
+  }
+}
+
+}  // namespace
+}  // namespace lcdm

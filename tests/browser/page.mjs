@@ -1,0 +1,215 @@
+// The live page in Chromium, against the real program.
+//
+//   node page.mjs LCDM MODEL FOLDER [SCREENSHOT]
+//
+// LCDM is the program, MODEL a weights file, FOLDER an empty folder to work in. Prints one line for
+// each thing that holds, and ends with status 1 at the first that does not.
+import { spawn } from "node:child_process";
+import { mkdtempSync } from "node:fs";
+import { join } from "node:path";
+import { setTimeout as sleep } from "node:timers/promises";
+import { chromium } from "playwright-core";
+import { PNG } from "pngjs";
+
+const [program, model, folder, screenshot] = process.argv.slice(2);
+
+function check(holds, what) {
+  if (!holds) throw new Error(`does not hold: ${what}`);
+  console.log(`ok: ${what}`);
+}
+
+async function eventually(condition, what, seconds = 15) {
+  const end = Date.now() + 1000 * seconds;
+  while (!(await condition())) {
+    if (Date.now() > end) throw new Error(`did not come: ${what}`);
+    await sleep(30);
+  }
+  console.log(`ok: ${what}`);
+}
+
+// Starts `lcdm run` and resolves to {process, address} when it has printed where it is.
+function startCamera(port) {
+  const args = ["run", "--source", "scene:", "--model", model, "--port", String(port),
+    "--set", "model.width=128", "--set", "model.height=96"];
+  const camera = spawn(program, args, { stdio: ["ignore", "pipe", "inherit"] });
+  return new Promise((resolve, reject) => {
+    let output = "";
+    camera.stdout.on("data", (text) => {
+      output += text;
+      const address = /page +(http:\S+)/.exec(output);
+      if (address) resolve({ process: camera, address: address[1] });
+    });
+    camera.on("exit", (code) => reject(new Error(`lcdm ended with ${code}:\n${output}`)));
+  });
+}
+
+function stopCamera(camera) {
+  const begin = Date.now();
+  return new Promise((resolve) => {
+    camera.process.removeAllListeners("exit");
+    camera.process.on("exit", (code) => resolve({ code, milliseconds: Date.now() - begin }));
+    camera.process.kill("SIGTERM");
+  });
+}
+
+// What the page says about the marker, for every frame it shows from now on.
+async function watchMarker(page) {
+  await page.evaluate(() => {
+    const output = document.getElementById("distance");
+    window.shown = {};
+    new MutationObserver(() => {
+      window.shown[output.dataset.sequence] = { ...output.dataset, text: output.textContent };
+    }).observe(output, { attributes: true });
+  });
+}
+
+// The same numbers by another way and another decoder: the 16-bit PNG, read by pngjs.
+async function fetchDepth(address) {
+  const answer = await fetch(new URL("/depth.png", address));
+  const png = PNG.sync.read(Buffer.from(await answer.arrayBuffer()), { skipRescale: true });
+  return {
+    sequence: answer.headers.get("x-frame-sequence"),
+    scale: answer.headers.get("x-depth-scale"),
+    width: png.width,
+    height: png.height,
+    at: (x, y) => png.data[4 * (y * png.width + x)],
+    depth: png.depth,
+  };
+}
+
+async function picturesChange(page) {
+  const samples = { colour: new Set(), depth: new Set() };
+  for (let i = 0; i < 10; i++) {
+    for (const id of Object.keys(samples)) {
+      samples[id].add(await page.evaluate((name) => {
+        const canvas = document.getElementById(name);
+        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        let hash = 0;
+        for (const byte of data) hash = (31 * hash + byte) | 0;
+        return hash;
+      }, id));
+    }
+    await sleep(200);
+  }
+  check(samples.colour.size >= 5, `the colour picture changes (${samples.colour.size} of 10)`);
+  check(samples.depth.size >= 5, `the depth picture changes (${samples.depth.size} of 10)`);
+}
+
+// Moves the pointer to a place in one picture; the markers of both stand there.
+async function point(page, screen, x, y) {
+  const box = await page.locator(screen).boundingBox();
+  await page.mouse.move(box.x + x * box.width, box.y + y * box.height);
+  for (const id of ["#colour-screen", "#depth-screen"]) {
+    const outer = await page.locator(id).boundingBox();
+    const inner = await page.locator(`${id} .marker`).boundingBox();
+    const dx = (inner.x + inner.width / 2 - outer.x) / outer.width - x;
+    const dy = (inner.y + inner.height / 2 - outer.y) / outer.height - y;
+    check(Math.abs(dx) < 0.01 && Math.abs(dy) < 0.01, `the marker of ${id} stands where ${screen} is pointed at`);
+  }
+}
+
+async function valueIsTheDepthImages(page, address, x, y) {
+  let compared = 0;
+  for (let attempt = 0; compared < 3 && attempt < 60; attempt++) {
+    const image = await fetchDepth(address);
+    check(image.depth === 16, "depth.png has 16 bits");
+    await sleep(300);
+    const shown = (await page.evaluate(() => window.shown))[image.sequence];
+    if (!shown) continue;
+    const column = Math.floor(x * image.width);
+    const row = Math.floor(y * image.height);
+    const millimetres = image.at(column, row);
+    check(Number(shown.x) === column && Number(shown.y) === row, `pixel ${column}, ${row}`);
+    check(Number(shown.millimetres) === millimetres,
+      `frame ${image.sequence}: the page says ${shown.millimetres}, the image ${millimetres} mm`);
+    const digits = millimetres < 10000 ? 2 : 1;
+    check(shown.text === (millimetres / 1000).toFixed(digits), `in words ${shown.text}`);
+    compared++;
+  }
+  check(compared === 3, "three frames were compared");
+}
+
+async function keysMoveAndFreeze(page) {
+  const data = () => page.evaluate(() => ({ ...document.getElementById("distance").dataset }));
+  await page.locator("#depth-screen").focus();
+  const before = await data();
+  await page.keyboard.press("ArrowRight");
+  await page.keyboard.press("ArrowDown");
+  await page.keyboard.press("Shift+ArrowLeft");
+  const after = await data();
+  check(Number(after.x) === Number(before.x) - 9 && Number(after.y) === Number(before.y) + 1,
+    "arrow keys move the marker by pixels");
+  await page.keyboard.press(" ");
+  await sleep(300);
+  const frozen = await data();
+  await sleep(1200);
+  check((await data()).sequence === frozen.sequence, "space freezes the picture");
+  check(await page.textContent("#state") === "Frozen", "and the state says so");
+  await page.keyboard.press(" ");
+  await eventually(async () => (await data()).sequence !== frozen.sequence, "space lets it go on");
+}
+
+async function run(context) {
+  const camera = await startCamera(0);
+  const page = context.pages()[0] ?? (await context.newPage());
+  const complaints = [];
+  const strangers = [];
+  page.on("console", (message) => message.type() === "error" && complaints.push(message.text()));
+  page.on("pageerror", (error) => complaints.push(error.message));
+  page.on("request", (request) => {
+    if (!request.url().startsWith(camera.address)) strangers.push(request.url());
+  });
+  await page.goto(camera.address);
+  const state = () => page.textContent("#state");
+  await eventually(async () => (await state()) === "Live", "the state says Live");
+  await picturesChange(page);
+
+  await watchMarker(page);
+  await point(page, "#colour-screen", 0.31, 0.62);
+  await valueIsTheDepthImages(page, camera.address, 0.31, 0.62);
+  await point(page, "#depth-screen", 0.77, 0.4);
+  await valueIsTheDepthImages(page, camera.address, 0.77, 0.4);
+  check((await page.textContent("#unit")) === "rel.", "depth without calibration is called rel.");
+  check(await page.isVisible("#scale-note"), "and the page explains it");
+  check((await fetchDepth(camera.address)).scale === "relative", "so does the image");
+  await keysMoveAndFreeze(page);
+
+  const figures = ["rate", "age", "inference", "dropped"];
+  for (const id of figures) {
+    check(/^[\d.]+$/.test(await page.textContent(`#${id}`)), `${id} is a number`);
+  }
+  check((await page.textContent("#source")).includes("scene:"), "the source is named");
+  await page.click("summary");
+  check((await page.textContent("#details")).includes("Licence"), "the details open");
+  await page.click("#theme");
+  check(await page.evaluate(() => document.documentElement.dataset.theme) === "light", "light theme");
+  await page.click("#theme");
+  check(strangers.length === 0, "nothing is asked of anybody else");
+  check(complaints.length === 0, `no complaints in the console: ${complaints}`);
+  if (screenshot) await page.screenshot({ path: screenshot });
+
+  const end = await stopCamera(camera);
+  check(end.code === 0 && end.milliseconds < 1000, `SIGTERM ends it cleanly in ${end.milliseconds} ms`);
+  await eventually(async () => (await state()) === "Reconnecting", "the page notices");
+  check(await page.isVisible("#depth-screen .veil"), "and no old picture passes for a live one");
+  const again = await startCamera(new URL(camera.address).port);
+  await eventually(async () => (await state()) === "Live", "the page comes back by itself", 30);
+  await stopCamera(again);
+}
+
+const context = await chromium.launchPersistentContext(mkdtempSync(join(folder, "profile-")), {
+  executablePath: "/usr/bin/chromium",
+  viewport: { width: 1440, height: 900 },
+  colorScheme: "dark",
+  args: ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync"],
+});
+let status = 0;
+try {
+  await run(context);
+} catch (error) {
+  console.error(error.message);
+  status = 1;
+}
+await context.close();
+process.exit(status);
