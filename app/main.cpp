@@ -1,11 +1,23 @@
 // The program lcdm: finds the command that was asked for and runs it.
 #include <cstdio>
+#include <cstdlib>
 #include <exception>
 
 #include "app/commands/commands.h"
 #include "app/exit_code.h"
 
+namespace {
+
+// Whatever fails is said by us, in one line; OpenCV and its FFmpeg would add their own.
+void quiet_libraries() {
+  setenv("OPENCV_LOG_LEVEL", "OFF", 0);       // NOLINT(concurrency-mt-unsafe): no threads yet
+  setenv("OPENCV_FFMPEG_LOGLEVEL", "-8", 0);  // NOLINT(concurrency-mt-unsafe): AV_LOG_QUIET
+}
+
+}  // namespace
+
 int main(int argc, char** argv) {
+  quiet_libraries();
   try {
     CLI::App program("LCDM-Mono: depth from one camera", "lcdm");
     program.require_subcommand(1);
