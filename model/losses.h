@@ -1,37 +1,74 @@
-// The losses of LCDM-Mono (paper section 3.2), masked: invalid pixels count for nothing.
+// What training minimises. Tensors are [B, 1, H, W]; masks are bool of the same shape; every loss is
+// a scalar with gradients to its first argument.
 #pragma once
 
-#include <torch/types.h>
+#include "firmware/nn/network_config.h"
+#include "model/network.h"
+#include "model/torch.h"
 
 namespace lcdm::model {
 
-// All tensors [batch, 1, H, W] float; `valid` is bool. A batch without a valid pixel gives 0 with
-// gradients intact.
+// The supervision of one batch, at the canonical focal length.
+struct Target {
+  torch::Tensor depth;     // [B, 1, H, W]; 0 where unknown
+  torch::Tensor weight;    // [B]; how far the sample's depth is trusted
+  torch::Tensor sharp;     // [B]; 1 where its edges are, 0 where the teacher blurs them
+  torch::Tensor reliable;  // [B] bool; false: its scale says nothing
+};
 
-// Mean of value over valid pixels.
-torch::Tensor masked_mean(const torch::Tensor& value, const torch::Tensor& valid);
+struct LossWeights {
+  double distillation = 1;
+  double denoising = 1;
+  double gradient = 0.5;  // multi-scale matching of log-depth gradients
+  double direct = 0.5;    // the 0-step output's share of the distillation and gradient losses
+};
 
-// Eq. 8: squared error of the predicted noise (or v).
-torch::Tensor denoising_loss(const torch::Tensor& prediction, const torch::Tensor& target,
-                             const torch::Tensor& valid);
+struct Losses {
+  torch::Tensor total;
+  double distillation = 0;
+  double denoising = 0;
+  double gradient = 0;
+  double direct = 0;
+};
 
-// Eq. 9, preset lcdm: L1 on log depth.
-torch::Tensor log_depth_loss(const torch::Tensor& depth, const torch::Tensor& teacher,
-                             const torch::Tensor& valid);
+// Mean over the images (weighted) of each image's mean of |error| over its mask. Images without a
+// valid pixel count as nothing.
+torch::Tensor masked_mean(const torch::Tensor& error, const torch::Tensor& mask,
+                          const torch::Tensor& weight);
 
-// Eq. 9, preset paper: L1 on depth.
-torch::Tensor depth_loss(const torch::Tensor& depth, const torch::Tensor& teacher,
-                         const torch::Tensor& valid);
+// Depth distillation: L1 on log depth.
+torch::Tensor log_depth_loss(const torch::Tensor& log_depth, const torch::Tensor& log_target,
+                             const torch::Tensor& mask, const torch::Tensor& weight);
 
-// L1 between the gradients of log depth at four scales (Li and Snavely, MegaDepth 2018, Eq. 4):
-// edges as sharp as the teacher's, whatever the scale. A difference counts where both its pixels
-// are valid.
-torch::Tensor gradient_loss(const torch::Tensor& depth, const torch::Tensor& teacher,
-                            const torch::Tensor& valid);
+// Multi-scale gradient matching (MegaDepth, arXiv 1804.00607, equation 6): L1 of the x and y
+// differences of log_depth - log_target over every 1st, 2nd, 4th and 8th pixel, where both ends are
+// valid; mean of the scales.
+torch::Tensor gradient_loss(const torch::Tensor& log_depth, const torch::Tensor& log_target,
+                            const torch::Tensor& mask, const torch::Tensor& weight);
 
-// The factor per image that brings the teacher's median to the student's, over valid pixels:
-// [batch, 1, 1, 1], detached. 1 for an image without valid pixels.
-torch::Tensor median_ratio(const torch::Tensor& student, const torch::Tensor& teacher,
-                           const torch::Tensor& valid);
+// log_target of unreliable images moved so that its median error to the student is 0. The student
+// gets no gradient from it.
+torch::Tensor align_to_student(const torch::Tensor& log_target, const torch::Tensor& log_depth,
+                               const torch::Tensor& mask, const torch::Tensor& reliable);
+
+// The times and noise of one denoising pass. All times of a batch belong to one sampler step.
+struct DenoisingDraw {
+  torch::Tensor times;  // [B] int64
+  torch::Tensor noise;  // [B, 1, H, W], N(0, 1)
+  int step = 0;
+};
+DenoisingDraw draw_denoising(const DepthNetwork& network, at::Generator& generator,
+                             c10::IntArrayRef shape);
+
+// Squared error of the prediction (v for `lcdm`, eps for `paper`) at x_t made from the target
+// variable where `mask` is set and from `student` (detached) elsewhere; masked out elsewhere.
+torch::Tensor denoising_loss(DepthNetwork& network, const torch::Tensor& condition,
+                             const torch::Tensor& target, const torch::Tensor& student,
+                             const torch::Tensor& mask, const torch::Tensor& weight,
+                             const DenoisingDraw& draw);
+
+// One pass of network and losses over normalised rgb [B, 3, H, W].
+Losses training_losses(DepthNetwork& network, const torch::Tensor& rgb, const Target& target,
+                       const LossWeights& weights, at::Generator& generator);
 
 }  // namespace lcdm::model

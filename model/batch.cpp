@@ -1,0 +1,181 @@
+#include "model/batch.h"
+
+#include <opencv2/imgproc.hpp>
+
+#include "model/depth_code.h"
+
+namespace lcdm::model {
+namespace {
+
+constexpr std::size_t kAhead = 3;
+constexpr double kMean = 0.45;
+constexpr double kDeviation = 0.225;
+
+cv::Rect random_crop(cv::Size full, double aspect, SampleRandom& random) {
+  const double scale = random.chance(0.3) ? 1 : random.uniform(0.6, 1);
+  const double width = std::min<double>(full.width, full.height * aspect) * scale;
+  cv::Rect crop;
+  crop.width = std::clamp(cvRound(width), 16, full.width);
+  crop.height = std::clamp(cvRound(width / aspect), 16, full.height);
+  crop.x = static_cast<int>(random.below(static_cast<std::size_t>(full.width - crop.width + 1)));
+  crop.y = static_cast<int>(random.below(static_cast<std::size_t>(full.height - crop.height + 1)));
+  return crop;
+}
+
+// Brightness, contrast, saturation, white balance and gamma; one picture in ten without colour.
+void jitter_colour(cv::Mat& rgb, SampleRandom& random) {
+  const double gain = random.uniform(0.75, 1.25);
+  const double contrast = random.uniform(0.75, 1.25);
+  const double saturation = random.chance(0.1) ? 0 : random.uniform(0.7, 1.3);
+  const double gamma = random.uniform(0.8, 1.25);
+  const cv::Scalar balance(random.uniform(0.9, 1.1), 1, random.uniform(0.9, 1.1));
+  cv::Mat grey;
+  cv::cvtColor(rgb, grey, cv::COLOR_RGB2GRAY);
+  const double mean = cv::mean(grey)[0];
+  cv::Mat grey3;
+  cv::cvtColor(grey, grey3, cv::COLOR_GRAY2RGB);
+  cv::Mat mixed = rgb * (saturation * contrast) + grey3 * ((1 - saturation) * contrast);
+  mixed += cv::Scalar::all(mean * (1 - contrast));
+  cv::multiply(mixed, balance, mixed, gain);
+  mixed = cv::min(cv::max(mixed, 0.0), 1.0);
+  cv::pow(mixed, gamma, rgb);
+}
+
+const Pack& draw_pack(const std::vector<Pack>& packs, bool wide, SampleRandom& random) {
+  const auto share = [wide](const Pack& p) {
+    return p.train.empty() ? 0.0F : (wide ? p.use.wide_share : p.use.tall_share);
+  };
+  double total = 0;
+  for (const Pack& pack : packs) total += share(pack);
+  double left = random.uniform(0, total);
+  for (const Pack& pack : packs) {
+    left -= share(pack);
+    if (left < 0) return pack;
+  }
+  return packs.back();
+}
+
+}  // namespace
+
+SampleRandom::SampleRandom(std::uint64_t seed, std::uint64_t step, std::uint64_t sample)
+    : state_(seed * 0x9E3779B97F4A7C15U + step * 0xD1B54A32D192ED03U + sample * 0x8CB92BA72F3D8DD7U) {
+  next();
+}
+
+// splitmix64.
+std::uint64_t SampleRandom::next() {
+  std::uint64_t z = (state_ += 0x9E3779B97F4A7C15U);
+  z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9U;
+  z = (z ^ (z >> 27)) * 0x94D049BB133111EBU;
+  return z ^ (z >> 31);
+}
+
+double SampleRandom::uniform(double low, double high) {
+  return low + (high - low) * static_cast<double>(next() >> 11) * 0x1p-53;
+}
+
+std::size_t SampleRandom::below(std::size_t n) { return static_cast<std::size_t>(next() % n); }
+
+torch::Tensor normalised(const cv::Mat& rgb) {
+  cv::Mat out;
+  const double unit = rgb.depth() == CV_8U ? 1.0 / 255 : 1;
+  rgb.convertTo(out, CV_32FC3, unit / kDeviation, -kMean / kDeviation);
+  return torch::from_blob(out.data, {out.rows, out.cols, 3}, torch::kFloat32).clone();
+}
+
+AugmentedSample augment(const PackFrame& frame, const BatchShape& shape, SampleRandom& random) {
+  const double aspect =
+      static_cast<double>(shape.width) / shape.height * random.uniform(0.88, 1.14);
+  const cv::Rect crop = random_crop(frame.rgb.size(), aspect, random);
+  const cv::Size size(shape.width, shape.height);
+  AugmentedSample out;
+
+  CameraModel cut = frame.camera;
+  cut.width = crop.width;
+  cut.height = crop.height;
+  cut.cx -= static_cast<float>(crop.x);
+  cut.cy -= static_cast<float>(crop.y);
+  out.camera = cut.resized(size.width, size.height);
+
+  cv::Mat rgb;
+  cv::resize(frame.rgb(crop), rgb, size, 0, 0,
+             crop.width > size.width ? cv::INTER_AREA : cv::INTER_LINEAR);
+  rgb.convertTo(out.rgb, CV_32FC3, 1.0 / 255);
+  jitter_colour(out.rgb, random);
+  cv::resize(frame.depth(crop), out.depth, size, 0, 0, cv::INTER_NEAREST);
+  out.depth *= shape.canonical_focal / out.camera.fx;
+  if (random.chance(0.5)) {
+    cv::flip(out.rgb, out.rgb, 1);
+    cv::flip(out.depth, out.depth, 1);
+    out.camera.cx = static_cast<float>(size.width - 1) - out.camera.cx;
+  }
+  return out;
+}
+
+Batch make_batch(const std::vector<Pack>& packs, const BatchShape& shape, std::uint64_t seed,
+                 std::uint64_t step) {
+  std::vector<torch::Tensor> rgb;
+  std::vector<torch::Tensor> depth;
+  const auto n = static_cast<std::int64_t>(shape.images);
+  Target target;
+  target.weight = torch::zeros({n});
+  target.sharp = torch::zeros({n});
+  target.reliable = torch::zeros({n}, torch::kBool);
+  for (std::int64_t i = 0; i < n; ++i) {
+    SampleRandom random(seed, step, static_cast<std::uint64_t>(i));
+    const Pack& pack = draw_pack(packs, shape.wide, random);
+    const PackFrame& frame = pack.frames[pack.train[random.below(pack.train.size())]];
+    const AugmentedSample sample = augment(frame, shape, random);
+    const bool sensor = pack.use.teacher == PackUse::Teacher::kSensor;
+    rgb.push_back(normalised(sample.rgb));
+    depth.push_back(
+        torch::from_blob(sample.depth.data, {1, shape.height, shape.width}, torch::kFloat32)
+            .clone());
+    target.weight[i] = pack.use.weight;
+    target.sharp[i] = sensor ? 1.0F : 0.0F;
+    target.reliable[i] = sensor;
+  }
+  target.depth = torch::stack(depth);
+  return {torch::stack(rgb).permute({0, 3, 1, 2}), target};
+}
+
+BatchLoader::BatchLoader(const std::vector<Pack>& packs, std::vector<BatchShape> shapes,
+                         std::uint64_t seed, std::uint64_t first)
+    : packs_(packs), shapes_(std::move(shapes)), seed_(seed), step_(first) {
+  worker_ = std::thread([this] { work(); });
+}
+
+BatchLoader::~BatchLoader() {
+  {
+    const std::lock_guard lock(mutex_);
+    stop_ = true;
+  }
+  changed_.notify_all();
+  worker_.join();
+}
+
+Batch BatchLoader::next() {
+  std::unique_lock lock(mutex_);
+  changed_.wait(lock, [this] { return !ready_.empty(); });
+  Batch batch = std::move(ready_.front());
+  ready_.pop_front();
+  changed_.notify_all();
+  return batch;
+}
+
+void BatchLoader::work() {
+  for (;;) {
+    {
+      std::unique_lock lock(mutex_);
+      changed_.wait(lock, [this] { return stop_ || ready_.size() < kAhead; });
+      if (stop_) return;
+    }
+    Batch batch = make_batch(packs_, shapes_[step_ % shapes_.size()], seed_, step_);
+    ++step_;
+    const std::lock_guard lock(mutex_);
+    ready_.push_back(std::move(batch));
+    changed_.notify_all();
+  }
+}
+
+}  // namespace lcdm::model

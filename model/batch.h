@@ -1,0 +1,88 @@
+// Augmented batches: each a function of the seed and the step's number alone, made ahead by one
+// thread.
+#pragma once
+
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include "model/losses.h"
+#include "model/pack.h"
+#include "model/torch.h"
+
+namespace lcdm::model {
+
+// The size of one batch's pictures, and the canonical focal length in pixels of that size: the
+// deployed one times the size's share of the deployed size, so that what a picture shows means the
+// same canonical depth at every training size.
+struct BatchShape {
+  int width = 0;
+  int height = 0;
+  float canonical_focal = 0;
+  int images = 0;
+  bool wide = false;
+};
+
+struct Batch {
+  torch::Tensor rgb;  // [B, 3, H, W], normalised, channels-last
+  Target target;
+};
+
+// Random numbers of one sample; the same on every machine.
+class SampleRandom {
+ public:
+  SampleRandom(std::uint64_t seed, std::uint64_t step, std::uint64_t sample);
+  double uniform(double low, double high);
+  bool chance(double probability) { return uniform(0, 1) < probability; }
+  std::size_t below(std::size_t n);
+
+ private:
+  std::uint64_t next();
+  std::uint64_t state_;
+};
+
+// (rgb - 0.45) / 0.225 of an 8-bit or float [0, 1] picture, [H, W, 3] float.
+torch::Tensor normalised(const cv::Mat& rgb);
+
+struct AugmentedSample {
+  cv::Mat rgb;            // CV_32FC3 in [0, 1]
+  cv::Mat depth;          // CV_32FC1, canonical, 0 = unknown
+  CameraModel camera;     // of the crop at its new size, flipped
+};
+// Random crop (60 to 100 % of the largest of about the shape's aspect), flip, colour jitter.
+AugmentedSample augment(const PackFrame& frame, const BatchShape& shape, SampleRandom& random);
+
+// Batch number `step`: packs drawn by their share for the shape.
+Batch make_batch(const std::vector<Pack>& packs, const BatchShape& shape, std::uint64_t seed,
+                 std::uint64_t step);
+
+// Makes the batches `first`, `first` + 1, ... ahead in a thread of its own, at most three waiting.
+class BatchLoader {
+ public:
+  // `shapes[i % shapes.size()]` is the shape of step i. `packs` must outlive the loader.
+  BatchLoader(const std::vector<Pack>& packs, std::vector<BatchShape> shapes, std::uint64_t seed,
+              std::uint64_t first);
+  ~BatchLoader();
+  BatchLoader(const BatchLoader&) = delete;
+  BatchLoader& operator=(const BatchLoader&) = delete;
+
+  Batch next();
+
+ private:
+  void work();
+
+  const std::vector<Pack>& packs_;
+  std::vector<BatchShape> shapes_;
+  std::uint64_t seed_;
+  std::uint64_t step_;  // of the next batch to make; the worker's
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::deque<Batch> ready_;  // guarded by mutex_
+  bool stop_ = false;        // guarded by mutex_
+  std::thread worker_;
+};
+
+}  // namespace lcdm::model

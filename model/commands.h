@@ -1,0 +1,13 @@
+// The subcommands of lcdm-train. Each adds itself to the program; when chosen, it runs while the
+// command line is parsed and leaves its outcome in `status`.
+#pragma once
+
+#include <CLI/CLI.hpp>
+
+#include "firmware/base/status.h"
+
+namespace lcdm::model {
+
+void add_train(CLI::App& app, Status& status);
+
+}  // namespace lcdm::model

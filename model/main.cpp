@@ -1,0 +1,57 @@
+// lcdm-train: trains the network offline, evaluates it, exports it for the device.
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <cstdlib>
+#include <opencv2/core.hpp>
+#include <unistd.h>
+
+#include "model/commands.h"
+#include "model/torch.h"
+
+namespace {
+
+// OpenMP and OpenBLAS read these when they are loaded, before main: the program starts itself again
+// with them. Spinning threads collapse on a busy machine, OpenBLAS's threads fight OpenMP's, and it
+// takes its slowest kernels on processors it does not know.
+void restart_with_environment(char** argv) {
+  constexpr const char* kMark = "LCDM_TRAIN_ENVIRONMENT";
+  if (std::getenv(kMark) != nullptr) return;
+  setenv(kMark, "set", 1);
+  setenv("OPENBLAS_NUM_THREADS", "1", 0);
+  setenv("GOMP_SPINCOUNT", "0", 0);
+#if defined(__x86_64__)
+  if (__builtin_cpu_supports("avx2")) {
+    setenv("OPENBLAS_CORETYPE", __builtin_cpu_supports("avx512f") ? "SKYLAKEX" : "HASWELL", 0);
+  }
+#endif
+  execv("/proc/self/exe", argv);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  restart_with_environment(argv);
+  CLI::App app("Trains, evaluates and exports LCDM-Mono networks");
+  app.require_subcommand(1);
+  int threads = 2;
+  app.add_option("--threads", threads, "CPU threads")->check(CLI::Range(1, 256))->capture_default_str();
+  lcdm::Status status;
+  app.parse_complete_callback([&threads] {
+    at::set_num_threads(threads);
+    cv::setNumThreads(1);
+  });
+  lcdm::model::add_train(app, status);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "lcdm-train: %s\n", error.what());
+    return 1;
+  }
+  if (!status) {
+    std::fprintf(stderr, "lcdm-train: %s\n", status.text());
+    return 1;
+  }
+  return 0;
+}

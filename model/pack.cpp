@@ -1,0 +1,238 @@
+#include "model/pack.h"
+
+#include <algorithm>
+#include <fstream>
+#include <map>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <sstream>
+
+#include "firmware/nn/json.h"
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+using Teacher = PackUse::Teacher;
+
+constexpr double kValidationShare = 0.1;
+constexpr std::size_t kGap = 20;
+constexpr std::size_t kLeastTraining = 10;
+constexpr float kMeterUnit = 1.0F / 256;
+
+Result<std::string> read_text(const fs::path& path) {
+  std::ifstream file(path);
+  if (!file) {
+    return Status::error(StatusCode::kNotFound, "%s cannot be read: is the pack complete?",
+                         path.c_str());
+  }
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+std::vector<fs::path> files_of(const fs::path& folder, const std::string& extension) {
+  std::vector<fs::path> files;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(folder, error)) {
+    if (entry.path().extension() == extension) files.push_back(entry.path());
+  }
+  std::sort(files.begin(), files.end());
+  return files;
+}
+
+// What intrinsics.json says that training needs.
+struct Intrinsics {
+  JsonValue json;
+  double depth_unit = 0.001;
+};
+
+Result<Intrinsics> read_intrinsics(const fs::path& folder) {
+  const Result<std::string> text = read_text(folder / "intrinsics.json");
+  if (!text) return text.status();
+  const Result<JsonValue> json = parse_json(*text);
+  if (!json) {
+    return Status::error(StatusCode::kCorrupt, "%s/intrinsics.json: %s", folder.c_str(),
+                         json.status().text());
+  }
+  Intrinsics out{*json};
+  if (const JsonValue* unit = json->find("depth_unit_m")) out.depth_unit = unit->number().value_or(0);
+  if (out.depth_unit <= 0) {
+    return Status::error(StatusCode::kCorrupt, "%s/intrinsics.json: depth_unit_m is not positive",
+                         folder.c_str());
+  }
+  return out;
+}
+
+// The camera of one frame: the pack's, or the frame's own where `frames` lists it.
+CameraModel camera_of(const Intrinsics& intrinsics, const std::string& frame, cv::Size size,
+                      float field_of_view) {
+  const JsonValue* source = &intrinsics.json;
+  if (const JsonValue* frames = source->find("frames")) {
+    if (const JsonValue* own = frames->find(frame)) source = own;
+  }
+  const auto value = [&](const char* key) {
+    const JsonValue* v = source->find(key);
+    return v != nullptr ? static_cast<float>(v->number().value_or(0)) : 0.0F;
+  };
+  CameraModel camera{size.width, size.height, value("fx"), value("fy"),
+                     value("cx"), value("cy"),    true};
+  if (camera.fx > 0) return camera;
+  return CameraModel::from_field_of_view(size.width, size.height, field_of_view);
+}
+
+// The rows of the full picture that the teacher's maps cover: all, or those of band.json.
+Result<cv::Range> teacher_rows(const fs::path& folder, int height) {
+  const fs::path path = folder / "band.json";
+  if (!fs::exists(path)) return cv::Range(0, height);
+  const Result<std::string> text = read_text(path);
+  if (!text) return text.status();
+  const Result<JsonValue> json = parse_json(*text);
+  const JsonValue* rows = json ? json->find("rows") : nullptr;
+  if (rows == nullptr || rows->items().size() != 2) {
+    return Status::error(StatusCode::kCorrupt, "%s: no \"rows\": [first, end]", path.c_str());
+  }
+  const cv::Range range(static_cast<int>(rows->items()[0].number().value_or(-1)),
+                        static_cast<int>(rows->items()[1].number().value_or(-1)));
+  if (range.start < 0 || range.start >= range.end || range.end > height) {
+    return Status::error(StatusCode::kCorrupt, "%s: rows are outside the picture", path.c_str());
+  }
+  return range;
+}
+
+Result<cv::Mat> read_depth(const fs::path& path, double unit) {
+  const cv::Mat raw = cv::imread(path.string(), cv::IMREAD_UNCHANGED);
+  if (raw.type() != CV_16UC1) {
+    return Status::error(StatusCode::kCorrupt, "%s is not a 16-bit grey PNG", path.c_str());
+  }
+  cv::Mat depth;
+  raw.convertTo(depth, CV_32F, unit);
+  return depth;
+}
+
+// The depth of the full picture of `full` pixels, sampled at `size`.
+Result<cv::Mat> load_depth(const fs::path& folder, const std::string& frame, const PackUse& use,
+                           double unit, cv::Size full, cv::Size size) {
+  const fs::path maps = folder / (use.teacher == Teacher::kSensor ? "depth" : "teacher_meter");
+  const Result<cv::Mat> map = read_depth(maps / (frame + ".png"),
+                                         use.teacher == Teacher::kSensor ? unit : kMeterUnit);
+  if (!map) return map.status();
+  cv::Mat depth;
+  if (use.teacher == Teacher::kSensor) {
+    cv::resize(*map, depth, size, 0, 0, cv::INTER_NEAREST);
+    return depth;
+  }
+  const Result<cv::Range> rows = teacher_rows(maps, full.height);
+  if (!rows) return rows.status();
+  const double scale = static_cast<double>(size.height) / full.height;
+  const cv::Range scaled(cvRound(rows->start * scale), cvRound(rows->end * scale));
+  depth = cv::Mat::zeros(size, CV_32F);
+  resize_inverse(*map, {size.width, scaled.size()}).copyTo(depth.rowRange(scaled));
+  return depth;
+}
+
+Result<PackFrame> load_frame(const fs::path& folder, const fs::path& picture, const PackUse& use,
+                             const Intrinsics& intrinsics, int max_width) {
+  PackFrame frame;
+  frame.name = picture.stem().string();
+  const cv::Mat bgr = cv::imread(picture.string(), cv::IMREAD_COLOR);
+  if (bgr.empty()) {
+    return Status::error(StatusCode::kCorrupt, "%s is not a picture", picture.c_str());
+  }
+  cv::cvtColor(bgr, frame.rgb, cv::COLOR_BGR2RGB);
+  frame.camera = camera_of(intrinsics, frame.name, bgr.size(), use.field_of_view);
+  if (bgr.cols > max_width) {
+    const cv::Size size(max_width, cvRound(static_cast<double>(bgr.rows) * max_width / bgr.cols));
+    cv::Mat reduced;
+    cv::resize(frame.rgb, reduced, size, 0, 0, cv::INTER_AREA);
+    frame.rgb = reduced;
+    frame.camera = frame.camera.resized(size.width, size.height);
+  }
+  Result<cv::Mat> depth = load_depth(folder, frame.name, use, intrinsics.depth_unit, bgr.size(),
+                                     frame.rgb.size());
+  if (!depth) return depth.status();
+  frame.depth = *depth;
+  return frame;
+}
+
+}  // namespace
+
+const std::vector<PackUse>& training_packs() {
+  static const std::vector<PackUse> packs = {
+      {"indoor_7scenes_redkitchen", Teacher::kSensor, 0, 1, 0.10F, 0.22F},
+      {"indoor_hololens_dvmvs", Teacher::kSensor, 0, 1, 0.14F, 0.30F},
+      {"driving_kitti_91", Teacher::kMeter, 0, 0.5F, 0.20F, 0.04F},
+      {"driving_kitti_odom_grey_1", Teacher::kMeter, 0, 0.5F, 0.08F, 0.02F},
+      {"driving_kitti_odom_grey_2", Teacher::kMeter, 0, 0.5F, 0.08F, 0.02F},
+      {"driving_carnd_testvideo", Teacher::kMeter, 0, 0.4F, 0.04F, 0.03F},
+      {"driving_carnd_highway", Teacher::kMeter, 60, 0.4F, 0.05F, 0.03F},
+      {"driving_camvid_stills", Teacher::kMeter, 55, 0.3F, 0.06F, 0.06F},
+  };
+  return packs;
+}
+
+const std::vector<PackUse>& test_packs() {
+  static const std::vector<PackUse> packs = {
+      {"test_7scenes_redkitchen", Teacher::kSensor},
+      {"test_realsense_rooms", Teacher::kSensor},
+      {"test_kitti_object", Teacher::kSensor},
+  };
+  return packs;
+}
+
+Split split_frames(const std::vector<std::string>& names) {
+  std::map<std::string, std::vector<std::size_t>> sequences;
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    const std::size_t end = names[i].find('_');
+    sequences[end == std::string::npos ? "" : names[i].substr(0, end)].push_back(i);
+  }
+  Split split;
+  for (const auto& [name, frames] : sequences) {
+    const auto tail = static_cast<std::size_t>(
+        std::ceil(static_cast<double>(frames.size()) * kValidationShare));
+    const bool too_short = frames.size() < tail + kGap + kLeastTraining;
+    const std::size_t train = too_short ? frames.size() : frames.size() - tail - kGap;
+    split.train.insert(split.train.end(), frames.begin(),
+                       frames.begin() + static_cast<std::ptrdiff_t>(train));
+    if (too_short) continue;
+    split.validation.insert(split.validation.end(), frames.end() - static_cast<std::ptrdiff_t>(tail),
+                            frames.end());
+  }
+  return split;
+}
+
+Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, std::size_t every) {
+  const fs::path folder = root / use.name;
+  const std::vector<fs::path> pictures = files_of(folder / "rgb", ".jpg");
+  if (pictures.empty()) {
+    return Status::error(StatusCode::kNotFound, "%s/rgb holds no .jpg: give the data's folder with --data",
+                         folder.c_str());
+  }
+  const Result<Intrinsics> intrinsics = read_intrinsics(folder);
+  if (!intrinsics) return intrinsics.status();
+  Pack pack{use, {}, {}, {}};
+  std::vector<std::string> names;
+  for (std::size_t i = 0; i < pictures.size(); i += every) {
+    Result<PackFrame> frame = load_frame(folder, pictures[i], use, *intrinsics, max_width);
+    if (!frame) return frame.status();
+    names.push_back(frame->name);
+    pack.frames.push_back(std::move(*frame));
+  }
+  Split split = split_frames(names);
+  pack.train = std::move(split.train);
+  pack.validation = std::move(split.validation);
+  return pack;
+}
+
+cv::Mat resize_inverse(const cv::Mat& depth, cv::Size size) {
+  cv::Mat inverse = 1 / cv::max(depth, 1e-3);
+  cv::Mat resized;
+  cv::resize(inverse, resized, size, 0, 0, cv::INTER_LINEAR);
+  cv::Mat out = 1 / resized;
+  cv::Mat valid;
+  cv::resize(depth, valid, size, 0, 0, cv::INTER_NEAREST);
+  out.setTo(0, valid <= 0);
+  return out;
+}
+
+}  // namespace lcdm::model
