@@ -28,8 +28,8 @@ class JpegEncoder {
   // For frames of `format` (any but kMjpeg). `quality` from 1 to 100.
   Status prepare(const FrameFormat& format, int quality);
   // Writes one JPEG to the front of `out` and returns its length. kInvalidInput: the frame has
-  // another format or lacks bytes. kOutOfMemory: `out` is too small (a JPEG of noise can be a
-  // little larger than its pixels).
+  // another format or lacks bytes. kOutOfMemory: `out` is too small (it needs a byte more than the
+  // result; a JPEG of noise can be a little larger than its pixels).
   Result<std::size_t> encode(const FrameView& frame, std::span<std::byte> out) noexcept;
 
  private:

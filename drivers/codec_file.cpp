@@ -5,9 +5,10 @@
 #include <cerrno>
 #include <csetjmp>
 #include <cstdio>
-#include <cstring>
+#include <filesystem>
 #include <new>
 #include <png.h>
+#include <system_error>
 
 #include "drivers/codec.h"
 
@@ -288,7 +289,8 @@ Status write_file(const std::string& path, std::span<const std::byte> bytes) {
   const bool closed = std::fclose(file.release()) == 0;
   if (written && closed) return Status::ok();
   const int fault = written ? errno : write_errno;
-  std::remove(path.c_str());
+  std::error_code ignored;
+  if (std::filesystem::is_regular_file(path, ignored)) std::remove(path.c_str());
   return Status::system(fault, "%s: cannot write", path.c_str());
 }
 

@@ -74,6 +74,9 @@ CameraInfo McapCamera::info() const {
 }
 
 Status McapCamera::start() {
+  if (segments_.empty()) {
+    return Status::error(StatusCode::kInvalidInput, "mcap: start before configure");
+  }
   for (Slot& slot : slots_) slot.free = true;
   has_pending_ = false;
   sequence_ = 0;
@@ -88,6 +91,9 @@ void McapCamera::stop() {
 }
 
 Result<CapturedFrame> McapCamera::dequeue(std::chrono::milliseconds timeout) {
+  if (reader_ == nullptr) {
+    return Status::error(StatusCode::kInvalidInput, "mcap: dequeue before start");
+  }
   if (!has_pending_) LCDM_RETURN_IF_ERROR(fetch());
   int index = -1;
   Slot* slot = find_free_slot(index);

@@ -7,9 +7,8 @@
 namespace lcdm::scene {
 
 Scene::Scene(std::uint64_t seed) : seed_(seed) {
-  // The first seeds show each kind once; later ones are mixed by chance.
   constexpr Kind kKinds[] = {Kind::kStreet, Kind::kRoom, Kind::kPark};
-  kind_ = seed < 3 ? kKinds[seed] : kKinds[Random(seed, 0, 0).below(3)];
+  kind_ = kKinds[seed % 3];
 }
 
 void Scene::at(double seconds, Snapshot& out) const {

@@ -57,7 +57,7 @@ enum class Ground : std::uint8_t { kStreet, kPath, kFloor };
 // Everything visible at one instant. Coordinates are local: `origin_z` is where their z = 0 lies on
 // the endless way, so that a drive of days keeps its precision.
 struct Snapshot {
-  static constexpr std::size_t kMaxPrimitives = 448;
+  static constexpr std::size_t kMaxPrimitives = 640;
   static constexpr int kLineBegin = -64;  // z of centre_line[0], metres
   static constexpr int kLineCount = 256;
 
@@ -91,8 +91,8 @@ struct Snapshot {
 };
 
 // Deterministic by its seed, endless in time, without any state that changes: any number of
-// threads may ask at once. Some seeds are rooms (0 is a street, 1 a room), the others streets and
-// parks.
+// threads may ask at once. The seed's remainder by 3 says what it is: 0 a street, 1 a room, 2 a
+// park.
 class Scene {
  public:
   explicit Scene(std::uint64_t seed);
