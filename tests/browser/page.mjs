@@ -5,7 +5,7 @@
 // LCDM is the program, MODEL a weights file, FOLDER an empty folder to work in. Prints one line for
 // each thing that holds, and ends with status 1 at the first that does not.
 import { spawn } from "node:child_process";
-import { mkdtempSync } from "node:fs";
+import { mkdirSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { setTimeout as sleep } from "node:timers/promises";
 import { chromium } from "playwright-core";
@@ -27,9 +27,21 @@ async function eventually(condition, what, seconds = 15) {
   console.log(`ok: ${what}`);
 }
 
+// A folder of three pictures for `file:`.
+function makePictures() {
+  const pictures = join(folder, "pictures");
+  mkdirSync(pictures, { recursive: true });
+  for (let i = 0; i < 3; i++) {
+    const png = new PNG({ width: 160, height: 120 });
+    for (let at = 0; at < png.data.length; at++) png.data[at] = (at * (i + 3)) % 251 | 64;
+    writeFileSync(join(pictures, `${i}.png`), PNG.sync.write(png));
+  }
+  return pictures;
+}
+
 // Starts `lcdm run` and resolves to {process, address} when it has printed where it is.
-function startCamera(port) {
-  const args = ["run", "--source", "scene:", "--model", model, "--port", String(port),
+function startCamera(port, source = "scene:") {
+  const args = ["run", "--source", source, "--model", model, "--port", String(port),
     "--set", "model.width=128", "--set", "model.height=96"];
   const camera = spawn(program, args, { stdio: ["ignore", "pipe", "inherit"] });
   return new Promise((resolve, reject) => {
@@ -149,7 +161,7 @@ async function keysMoveAndFreeze(page) {
   await eventually(async () => (await data()).sequence !== frozen.sequence, "space lets it go on");
 }
 
-async function run(context) {
+async function showsTheScene(context) {
   const camera = await startCamera(0);
   const page = context.pages()[0] ?? (await context.newPage());
   const complaints = [];
@@ -197,6 +209,29 @@ async function run(context) {
   await stopCamera(again);
 }
 
+// The pictures behind the source vanish and come back.
+async function saysNoSignal(context) {
+  const pictures = makePictures();
+  const camera = await startCamera(0, `file:${pictures}`);
+  const page = context.pages()[0];
+  await page.goto(camera.address);
+  const state = () => page.textContent("#state");
+  const healthz = async () => (await fetch(new URL("/healthz", camera.address))).status;
+  await eventually(async () => (await state()) === "Live", "a folder of pictures is a camera too");
+  check((await healthz()) === 200, "healthz says well");
+  rmSync(pictures, { recursive: true });
+  await eventually(async () => (await state()) === "No signal", "without frames: No signal");
+  const veil = page.locator("#depth-screen .veil");
+  check(await veil.isVisible(), "and no old picture passes for a live one");
+  check(/Last frame \d+ s ago/.test(await veil.textContent()), "the age of the last frame is told");
+  check((await healthz()) === 503, "healthz says unwell");
+  check((await fetch(new URL("/depth.png", camera.address))).status === 503, "and depth.png is refused");
+  if (screenshot) await page.screenshot({ path: screenshot.replace(".png", "-no-signal.png") });
+  makePictures();
+  await eventually(async () => (await state()) === "Live", "the page is live again");
+  await stopCamera(camera);
+}
+
 const context = await chromium.launchPersistentContext(mkdtempSync(join(folder, "profile-")), {
   executablePath: "/usr/bin/chromium",
   viewport: { width: 1440, height: 900 },
@@ -206,7 +241,8 @@ const context = await chromium.launchPersistentContext(mkdtempSync(join(folder, 
 });
 let status = 0;
 try {
-  await run(context);
+  await showsTheScene(context);
+  await saysNoSignal(context);
 } catch (error) {
   console.error(error.message);
   status = 1;
