@@ -33,8 +33,9 @@ function placeMarkers(label) {
   }
 }
 
+// A value belongs to a picture that is shown: behind the veil there is none.
 function showMarker() {
-  if (!depth) return;
+  if (!depth || screens[0].classList.contains("is-waiting")) return;
   const x = Math.min(depth.width - 1, Math.floor(marker.x * depth.width));
   const y = Math.min(depth.height - 1, Math.floor(marker.y * depth.height));
   const millimetres = depth.values[y * depth.width + x];
@@ -53,8 +54,8 @@ function showAge() {
     return;
   }
   const age = status.frame.age_ms + performance.now() - statusTime;
-  setText("age", age < 10000 ? age.toFixed(0) : (age / 1000).toFixed(0));
-  setText("age-unit", age < 10000 ? "ms" : "s");
+  setText("age", age < 2000 ? age.toFixed(0) : (age / 1000).toFixed(age < 10000 ? 1 : 0));
+  setText("age-unit", age < 2000 ? "ms" : "s");
 }
 
 const stateNames = {
@@ -68,6 +69,11 @@ function showState() {
   pill.dataset.state = state;
   setText("state", frozen && state === "streaming" ? "Frozen" : stateNames[state] ?? state);
   const waiting = state !== "streaming" && !frozen;
+  if (waiting) {
+    setText("distance", "\u2013");
+    setText("unit", "");
+    setText("place", "");
+  }
   for (const screen of screens) {
     screen.classList.toggle("is-waiting", waiting);
     if (!waiting) continue;
@@ -142,13 +148,14 @@ async function onMessage(message) {
     picture.close();
     depth = message.depth;
     const range = painter.paint(depth);
-    const unit = depth.scale === "metric" ? "m" : "rel.";
-    setText("near", `${range.nearest.toFixed(1)} ${unit}`);
-    setText("far", `${range.farthest.toFixed(1)} ${unit}`);
-    showMarker();
+    for (const [id, metres] of [["near", range.nearest], ["far", range.farthest]]) {
+      const { text, unit } = formatDistance(Math.round(1000 * metres), depth.scale);
+      setText(id, `${text} ${unit}`);
+    }
   }
   showFigures();
   showState();
+  if (message.depth) showMarker();
   if (document.querySelector(".details").open) showDetails();
 }
 

@@ -223,6 +223,7 @@ async function saysNoSignal(context) {
   await eventually(async () => (await state()) === "No signal", "without frames: No signal");
   const veil = page.locator("#depth-screen .veil");
   check(await veil.isVisible(), "and no old picture passes for a live one");
+  check((await page.textContent("#distance")) === "\u2013", "nor an old value for a live one");
   check(/Last frame \d+ s ago/.test(await veil.textContent()), "the age of the last frame is told");
   check((await healthz()) === 503, "healthz says unwell");
   check((await fetch(new URL("/depth.png", camera.address))).status === 503, "and depth.png is refused");
