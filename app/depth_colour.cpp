@@ -47,7 +47,8 @@ std::optional<DepthRange> range_of(std::span<const std::uint16_t> depth) {
     auto left = static_cast<std::uint32_t>(part * (valid - 1));
     std::size_t bin = 0;
     while (left >= counts[bin]) left -= counts[bin++];
-    return static_cast<float>((bin << kShift) + (1U << kShift) / 2);
+    const std::size_t middle = (bin << kShift) + (std::size_t{1} << (kShift - 1));
+    return static_cast<float>(middle);
   };
   const float nearest = quantile(0.02);
   return DepthRange{nearest, std::max(quantile(0.98), nearest * kLeastRatio)};

@@ -96,7 +96,9 @@ bool HttpExchange::send_head(int status, std::string_view type, long long length
   std::string head = "HTTP/1.1 " + std::to_string(status) + " " + reason_of(status) + "\r\n";
   head += "Content-Type: " + std::string(type) + "\r\n";
   if (length >= 0) head += "Content-Length: " + std::to_string(length) + "\r\n";
-  for (const auto& [name, value] : headers) head += name + ": " + value + "\r\n";
+  for (const auto& [name, value] : headers) {
+    head.append(name).append(": ").append(value).append("\r\n");
+  }
   head +=
       "Connection: close\r\n"
       "Cache-Control: no-store\r\n"

@@ -35,9 +35,10 @@ void convert_row(const std::uint8_t* in, PixelFormat format, int width, std::uin
       }
       return;
     case PixelFormat::kYuyv:
-      for (int x = 0; x < width; ++x, out += 3) {
-        const std::uint8_t* pair = in + x / 2 * 4;  // Y0 U Y1 V
-        yuv_to_rgb(pair[x % 2 * 2], pair[1], pair[3], out);
+      for (int x = 0; x < width; ++x, out += 3) {  // Y0 U Y1 V
+        const int second = x % 2;
+        yuv_to_rgb(in[second == 0 ? 0 : 2], in[1], in[3], out);
+        if (second == 1) in += 4;
       }
       return;
     case PixelFormat::kMjpeg:
