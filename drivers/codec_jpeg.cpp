@@ -180,7 +180,7 @@ struct JpegEncoder::State {
 };
 
 void JpegEncoder::State::make_planes() {
-  const auto luma = static_cast<std::size_t>((format.width + 15) / 16 * 16);
+  const auto luma = (static_cast<std::size_t>(format.width) + 15) / 16 * 16;
   for (std::size_t plane = 0; plane < 3; ++plane) {
     const std::size_t stride = plane == 0 ? luma : luma / 2;
     planes[plane].assign(stride * kBandRows, 128);
@@ -214,10 +214,11 @@ void JpegEncoder::State::split_band(int first_row) {
     const int y = std::min(first_row + row, format.height - 1);
     const std::uint8_t* line = pixels + static_cast<std::ptrdiff_t>(y) * format.stride;
     const auto k = static_cast<std::size_t>(row);
+    JSAMPLE* luma = rows[0][k];
     for (int pair = 0; pair < pairs; ++pair) {
       const std::uint8_t* in = line + 4 * std::min(pair, format.width / 2 - 1);
-      rows[0][k][2 * pair] = kFull.luma[in[0]];
-      rows[0][k][2 * pair + 1] = kFull.luma[in[2]];
+      *luma++ = kFull.luma[in[0]];
+      *luma++ = kFull.luma[in[2]];
       rows[1][k][pair] = kFull.chroma[in[1]];
       rows[2][k][pair] = kFull.chroma[in[3]];
     }

@@ -37,7 +37,7 @@ Result<std::vector<std::string>> find_segments(const std::string& path) {
 // Width and height of a JPEG from its header; 0 x 0 when it is none.
 FrameFormat jpeg_format(std::span<const std::byte> jpeg) {
   FrameFormat format{PixelFormat::kMjpeg, 0, 0, 0};
-  const tjhandle handle = tjInitDecompress();
+  tjhandle handle = tjInitDecompress();
   if (handle == nullptr) return format;
   int subsampling = 0;
   int colourspace = 0;

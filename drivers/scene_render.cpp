@@ -49,10 +49,14 @@ class Picture {
         casters_(snapshot),
         shader_(snapshot, casters_, 1 / camera.fx) {
     for (std::size_t i = 0; i < snapshot.count; ++i) outlines_[i] = outline(snapshot.storage[i]);
+    rays_.ox.fill(snapshot.eye.x);
+    rays_.oy.fill(snapshot.eye.y);
+    rays_.oz.fill(snapshot.eye.z);
   }
 
   void render() {
     for (int y = 0; y < camera_.height; y += kTile) {
+      choose_for_row(y);
       for (int x = 0; x < camera_.width; x += kTile) render_tile(x, y);
     }
   }
@@ -73,7 +77,9 @@ class Picture {
   Rectangle outline(const Primitive& primitive) const;
   Rectangle outline_box(const Primitive& primitive) const;
   Rectangle outline_ball(Vec3 centre, float radius) const;
-  std::span<const std::uint16_t> choose(int x, int y);
+  void choose_for_row(int y);
+  std::span<const std::uint16_t> choose(int x);
+  void aim_at_tile(int x, int y);
   void trace_rays(std::span<const std::uint16_t> chosen);
   void render_tile(int x, int y);
   int find_edges(int width, int height);
@@ -90,6 +96,8 @@ class Picture {
   ShadowCasters casters_;
   Shader shader_;
   std::array<Rectangle, Snapshot::kMaxPrimitives> outlines_;
+  std::array<std::uint16_t, Snapshot::kMaxPrimitives> in_row_;
+  std::size_t in_row_count_ = 0;
   std::array<std::uint16_t, Snapshot::kMaxPrimitives> chosen_;
   RayBatch rays_;
   std::array<Vec3, RayBatch::kCapacity> colours_;
@@ -159,21 +167,56 @@ Rectangle Picture::outline_box(const Primitive& p) const {
   return out;
 }
 
-// The primitives that may show in the tile at (x, y) or its margin.
-std::span<const std::uint16_t> Picture::choose(int x, int y) {
-  const auto left = static_cast<float>(x - 2);
+// The primitives that may show in the row of tiles at y, or its margin.
+void Picture::choose_for_row(int y) {
   const auto top = static_cast<float>(y - 2);
-  const auto right = static_cast<float>(x + kTile + 1);
   const auto bottom = static_cast<float>(y + kTile + 1);
-  std::size_t count = 0;
+  in_row_count_ = 0;
   for (std::size_t i = 0; i < snapshot_.count; ++i) {
     const Rectangle& o = outlines_[i];
-    if (o.right < o.left || o.right < left || o.left > right || o.bottom < top || o.top > bottom) {
-      continue;
-    }
-    chosen_[count++] = static_cast<std::uint16_t>(i);
+    if (o.right < o.left || o.bottom < top || o.top > bottom) continue;
+    in_row_[in_row_count_++] = static_cast<std::uint16_t>(i);
+  }
+}
+
+// Those of the row that may show in its tile at x, or that tile's margin.
+std::span<const std::uint16_t> Picture::choose(int x) {
+  const auto left = static_cast<float>(x - 2);
+  const auto right = static_cast<float>(x + kTile + 1);
+  std::size_t count = 0;
+  for (const std::uint16_t i : std::span(in_row_).first(in_row_count_)) {
+    const Rectangle& o = outlines_[i];
+    if (o.right >= left && o.left <= right) chosen_[count++] = i;
   }
   return std::span(chosen_).first(count);
+}
+
+// Rays through the tile's pixel centres and the margin's.
+void Picture::aim_at_tile(int x, int y) {
+  const Vec3 step = snapshot_.axes[0] * (1 / camera_.fx);
+  for (int row = 0; row < kTile; ++row) {
+    const Vec3 first = ray(static_cast<float>(x), static_cast<float>(y + row));
+    for (int column = 0; column < kTile; ++column) {
+      const auto k = static_cast<std::size_t>(row * kTile + column);
+      const auto along = static_cast<float>(column);
+      rays_.dx[k] = first.x + step.x * along;
+      rays_.dy[k] = first.y + step.y * along;
+      rays_.dz[k] = first.z + step.z * along;
+    }
+  }
+  std::fill_n(rays_.t.begin(), kPixels, kFar);
+  std::fill_n(rays_.hit.begin(), kPixels, kHitNothing);
+  const auto aim = [&](int column, int row) {
+    rays_.set(ray_index(column, row), snapshot_.eye,
+              ray(static_cast<float>(x + column), static_cast<float>(y + row)), kFar);
+  };
+  for (int i = 0; i < kTile; ++i) {
+    aim(-1, i);
+    aim(kTile, i);
+    aim(i, -1);
+    aim(i, kTile);
+  }
+  rays_.count = kRays;
 }
 
 void Picture::trace_rays(std::span<const std::uint16_t> chosen) {
@@ -184,19 +227,8 @@ void Picture::trace_rays(std::span<const std::uint16_t> chosen) {
 void Picture::render_tile(int x, int y) {
   const int width = std::min(kTile, camera_.width - x);
   const int height = std::min(kTile, camera_.height - y);
-  const auto chosen = choose(x, y);
-  const auto aim = [&](int column, int row) {
-    rays_.set(ray_index(column, row), snapshot_.eye,
-              ray(static_cast<float>(x + column), static_cast<float>(y + row)), kFar);
-  };
-  for (int i = 0; i < kTile; ++i) {
-    for (int column = 0; column < kTile; ++column) aim(column, i);
-    aim(-1, i);
-    aim(kTile, i);
-    aim(i, -1);
-    aim(i, kTile);
-  }
-  rays_.count = kRays;
+  const auto chosen = choose(x);
+  aim_at_tile(x, y);
   trace_rays(chosen);
   const int edges = find_edges(width, height);
 
@@ -217,18 +249,34 @@ void Picture::render_tile(int x, int y) {
 
 // Lists the pixels beside which something else begins.
 int Picture::find_edges(int width, int height) {
-  const auto hit = [&](int column, int row) {
-    return rays_.hit[static_cast<std::size_t>(ray_index(column, row))];
+  const auto hits = std::span(rays_.hit).first(kRays);
+  const auto other = [first = hits[0]](std::int32_t hit) { return hit != first; };
+  if (std::none_of(hits.begin(), hits.end(), other)) return 0;
+
+  // With the margin around it every pixel has four neighbours at fixed steps.
+  constexpr int kWide = kTile + 2;
+  std::array<std::int32_t, kWide * kWide> grid;
+  const auto at = [](int column, int row) {
+    return static_cast<std::size_t>((row + 1) * kWide + column + 1);
   };
+  const auto copy = [&](int column, int row) {
+    grid[at(column, row)] = hits[static_cast<std::size_t>(ray_index(column, row))];
+  };
+  for (int i = 0; i < kTile; ++i) {
+    std::copy_n(hits.begin() + i * kTile, kTile, grid.begin() + (i + 1) * kWide + 1);
+    copy(-1, i);
+    copy(kTile, i);
+    copy(i, -1);
+    copy(i, kTile);
+  }
   std::size_t count = 0;
   for (int row = 0; row < height; ++row) {
     for (int column = 0; column < width; ++column) {
-      const std::int32_t here = hit(column, row);
-      if (hit(column - 1, row) == here && hit(column + 1, row) == here &&
-          hit(column, row - 1) == here && hit(column, row + 1) == here) {
-        continue;
-      }
-      edges_[count++] = static_cast<std::uint16_t>(ray_index(column, row));
+      const std::size_t k = at(column, row);
+      const std::int32_t here = grid[k];
+      const int same = (grid[k - 1] == here ? 1 : 0) & (grid[k + 1] == here ? 1 : 0) &
+                       (grid[k - kWide] == here ? 1 : 0) & (grid[k + kWide] == here ? 1 : 0);
+      if (same == 0) edges_[count++] = static_cast<std::uint16_t>(ray_index(column, row));
     }
   }
   return static_cast<int>(count);
@@ -250,7 +298,9 @@ void Picture::smooth_edges(int x, int y, std::span<const std::uint16_t> chosen, 
         const Vec3 c = colours_[shaded_as_[i * kSamples + s]];
         sum = sum + Vec3{std::min(c.x, 1.0F), std::min(c.y, 1.0F), std::min(c.z, 1.0F)};
       }
-      put(x + pixels[i] % kTile, y + pixels[i] / kTile, sum * (1.0F / kSamples));
+      const int column = pixels[i] % kTile;
+      const int row = pixels[i] / kTile;
+      put(x + column, y + row, sum * (1.0F / kSamples));
     }
   }
 }
@@ -261,10 +311,11 @@ void Picture::trace_samples(int x, int y, std::span<const std::uint16_t> pixels,
       {{-0.125F, -0.375F}, {0.375F, -0.125F}, {-0.375F, 0.125F}, {0.125F, 0.375F}}};
   int i = 0;
   for (const std::uint16_t pixel : pixels) {
+    const int column = x + pixel % kTile;
+    const int row = y + pixel / kTile;
     for (const auto& offset : kOffsets) {
       rays_.set(i++, snapshot_.eye,
-                ray(static_cast<float>(x + pixel % kTile) + offset[0],
-                    static_cast<float>(y + pixel / kTile) + offset[1]),
+                ray(static_cast<float>(column) + offset[0], static_cast<float>(row) + offset[1]),
                 kFar);
     }
   }
@@ -293,7 +344,8 @@ void Picture::shade_samples() {
 void Picture::put(int x, int y, Vec3 colour) {
   std::uint8_t* out = rgb_.data() + (static_cast<std::ptrdiff_t>(y) * camera_.width + x) * 3;
   const auto byte = [](float v) {
-    return static_cast<std::uint8_t>(std::clamp(v, 0.0F, 1.0F) * 255 + 0.5F);
+    // Rounded to nearest, as the value is not negative.
+    return static_cast<std::uint8_t>(std::clamp(v, 0.0F, 1.0F) * 255.0F + 0.5F);  // NOLINT
   };
   out[0] = byte(colour.x);
   out[1] = byte(colour.y);

@@ -1,10 +1,16 @@
 #include "drivers/scene_textures.h"
 
 #include <algorithm>
-#include <bit>
+#include <array>
+#include <cmath>
 
 namespace lcdm::scene {
 namespace {
+
+struct TextureSample {
+  float mix = 1;     // between the surface's dark (0) and light (1) colour
+  float bright = 1;  // factor on top, about 1
+};
 
 constexpr float kTwoPi = 6.2831853F;
 
@@ -237,19 +243,6 @@ TextureSample pattern(Texture texture, float x, float y) {
   return {};
 }
 
-constexpr std::uint32_t kLanes = 0x00FF00FFU;
-
-// a + (b - a) * weight / 256 in both lanes.
-std::uint32_t blend(std::uint32_t a, std::uint32_t b, std::uint32_t weight) {
-  return ((a * (256 - weight) + b * weight) >> 8) & kLanes;
-}
-
-// log2 of a positive float, to about 0.09: enough to choose a mip level.
-float rough_log2(float x) {
-  const auto bits = static_cast<float>(std::bit_cast<std::uint32_t>(x));
-  return bits * (1.0F / 8388608.0F) - 126.96F;
-}
-
 // How often each pattern repeats along a metre, in the order of Texture.
 constexpr std::array<float, kTextures> kTilesPerMetre{1.0F,  0.25F, 1.0F,     1 / 1.2F, 2.0F,
                                                       0.25F, 0.25F, 1 / 1.6F, 1 / 1.2F, 1 / 12.0F,
@@ -268,57 +261,27 @@ void TextureSet::make(Texture texture) {
       constexpr float kStep = 1.0F / kSide;
       const TextureSample s = pattern(texture, (static_cast<float>(x) + 0.5F) * kStep,
                                       (static_cast<float>(y) + 0.5F) * kStep);
-      const auto mixed = static_cast<Texel>(std::clamp(s.mix, 0.0F, 1.0F) * 255 + 0.5F);
-      const auto bright = static_cast<Texel>(std::clamp(s.bright, 0.0F, 1.99F) * 128 + 0.5F);
-      level[y * kSide + x] = mixed | bright << 16;
+      const auto mixed = static_cast<Texel>(std::lround(std::clamp(s.mix, 0.0F, 1.0F) * 255));
+      const auto bright = static_cast<Texel>(std::lround(std::clamp(s.bright, 0.0F, 1.99F) * 128));
+      level[static_cast<std::size_t>(y) * kSide + static_cast<std::size_t>(x)] = mixed | bright
+                                                                                             << 16;
     }
   }
-  for (int side = kSide / 2; side >= 1; side /= 2) {
+  for (std::size_t side = kSide / 2; side >= 1; side /= 2) {
     const Texel* finer = level;
     level += 4 * side * side;
-    for (int y = 0; y < side; ++y) {
-      for (int x = 0; x < side; ++x) {
+    for (std::size_t y = 0; y < side; ++y) {
+      for (std::size_t x = 0; x < side; ++x) {
         const Texel* corner = finer + (2 * y) * (2 * side) + 2 * x;
         const Texel sum = corner[0] + corner[1] + corner[2 * side] + corner[2 * side + 1];
-        level[y * side + x] = ((sum + 0x00020002U) >> 2) & kLanes;
+        level[y * side + x] = ((sum + 0x00020002) >> 2) & 0x00FF00FF;
       }
     }
   }
 }
 
-// One bilinear sample of a level, both lanes; x and y in 256ths of a texel.
-TextureSet::Texel TextureSet::bilinear(const Texel* level, int side, int x, int y) {
-  const int mask = side - 1;
-  const int x0 = (x >> 8) & mask;
-  const int x1 = (x0 + 1) & mask;
-  const Texel* row0 = level + ((y >> 8) & mask) * side;
-  const Texel* row1 = level + (((y >> 8) + 1) & mask) * side;
-  const auto fx = static_cast<Texel>(x & 255);
-  return blend(blend(row0[x0], row0[x1], fx), blend(row1[x0], row1[x1], fx),
-               static_cast<Texel>(y & 255));
-}
-
-TextureSample TextureSet::sample(Texture texture, float u, float v, float footprint) const {
-  const float tiles = kTilesPerMetre[static_cast<std::size_t>(texture)];
-  const float level =
-      std::clamp(rough_log2(footprint * tiles * kSide), 0.0F, static_cast<float>(kLevels - 1));
-  const int fine = std::min(static_cast<int>(level), kLevels - 2);
-  const auto between = static_cast<std::uint32_t>((level - static_cast<float>(fine)) * 256);
-
-  const int side = kSide >> fine;
-  // Texels of the levels before: (4 kSide^2 - 4 side^2) / 3.
-  const Texel* base = tile(texture) + (4 * kSide * kSide - 4 * side * side) / 3;
-  const float x = u * tiles * static_cast<float>(side * 256);
-  const float y = v * tiles * static_cast<float>(side * 256);
-  constexpr int kCentre = 128;  // half a texel: values lie at texel centres
-  const auto x8 = static_cast<int>(x);
-  const auto y8 = static_cast<int>(y);
-  const Texel near = bilinear(base, side, x8 - kCentre, y8 - kCentre);
-  const Texel far =
-      bilinear(base + side * side, side / 2, (x8 >> 1) - kCentre, (y8 >> 1) - kCentre);
-  const Texel both = blend(near, far, between);
-  return {static_cast<float>(both & 255U) * (1.0F / 255),
-          static_cast<float>(both >> 16) * (1.0F / 128)};
+float TextureSet::tiles_per_metre(Texture texture) {
+  return kTilesPerMetre[static_cast<std::size_t>(texture)];
 }
 
 const TextureSet& textures() {

@@ -1,8 +1,6 @@
-// Surface patterns of the rendered scene: made once per process, sampled with mip maps.
+// Surface patterns of the rendered scene: made once per process, with mip maps.
 #pragma once
 
-#include <array>
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -11,35 +9,30 @@
 
 namespace lcdm::scene {
 
-struct TextureSample {
-  float mix = 1;     // between the surface's dark (0) and light (1) colour
-  float bright = 1;  // factor on top, about 1
-};
-
 // Every Texture as a tile of kSide x kSide texels with detail at all scales down to a texel, and
-// its mip maps. Immutable once made: any number of threads may sample.
+// its mip maps. Immutable once made: any number of threads may read.
 class TextureSet {
  public:
   static constexpr int kSide = 256;
+  static constexpr int kLevels = 9;  // 256, 128, ... 1
+
+  // Low byte: where between the surface's dark (0) and light (255) colour; third byte: brightness
+  // in 128ths. Two lanes that interpolate in one operation.
+  using Texel = std::int32_t;
 
   TextureSet();
 
-  // At (u, v) metres on the surface, where a pixel covers `footprint` metres; trilinear.
-  // Coordinates up to 4 km.
-  TextureSample sample(Texture texture, float u, float v, float footprint) const;
-
- private:
-  static constexpr int kLevels = 9;  // 256, 128, ... 1
-
-  // Low byte: mix * 255; third byte: bright * 128. Two lanes that interpolate in one operation.
-  using Texel = std::uint32_t;
-  static constexpr std::size_t kTexels = (4 * kSide * kSide - 1) / 3;  // of all levels
-
-  void make(Texture texture);
-  static Texel bilinear(const Texel* level, int side, int x, int y);
+  // The pattern's levels one after another, the widest first, each [row][column].
   const Texel* tile(Texture texture) const {
     return texels_.data() + static_cast<std::size_t>(texture) * kTexels;
   }
+  // How often the pattern repeats along a metre.
+  static float tiles_per_metre(Texture texture);
+
+ private:
+  static constexpr std::size_t kTexels = (4 * kSide * kSide - 1) / 3;  // of all levels
+
+  void make(Texture texture);
 
   std::vector<Texel> texels_;  // [texture][level][row][column]
 };

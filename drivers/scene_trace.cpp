@@ -1,51 +1,17 @@
 #include "drivers/scene_trace.h"
 
-// Scalable vectors cannot be members of structures; the rest of the left-out only adds size.
-#define HWY_DISABLED_TARGETS \
-  (HWY_SSSE3 | HWY_AVX3_DL | HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128)
-
 // clang-format off
-#include <hwy/detect_targets.h>
-#ifndef HWY_SVE_256  // unknown to Highway 0.16
-#define HWY_SVE_256 0
-#define HWY_SVE2_128 0
-#endif
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "drivers/scene_trace.cpp"
+#include "drivers/scene_targets.h"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
+#include "drivers/scene_simd-inl.h"
 // clang-format on
 
 HWY_BEFORE_NAMESPACE();
 namespace lcdm::scene {
 namespace HWY_NAMESPACE {
-
-namespace hn = hwy::HWY_NAMESPACE;
-using Tag = hn::CappedTag<float, 16>;
-using Floats = hn::Vec<Tag>;
-using Mask = hn::Mask<Tag>;
-constexpr Tag kTag;
-constexpr hn::RebindToSigned<Tag> kIndexTag;
-
-struct Vectors {
-  Floats x, y, z;
-};
-
-HWY_INLINE Floats number(float value) { return hn::Set(kTag, value); }
-HWY_INLINE Vectors numbers(Vec3 v) { return {number(v.x), number(v.y), number(v.z)}; }
-HWY_INLINE Floats inner(const Vectors& a, const Vectors& b) {
-  return hn::MulAdd(a.x, b.x, hn::MulAdd(a.y, b.y, hn::Mul(a.z, b.z)));
-}
-HWY_INLINE Vectors along(const Vectors& from, const Vectors& direction, Floats t) {
-  return {hn::MulAdd(direction.x, t, from.x), hn::MulAdd(direction.y, t, from.y),
-          hn::MulAdd(direction.z, t, from.z)};
-}
-// World to the primitive's own axes: a turn about the vertical.
-HWY_INLINE Vectors into_local(const Primitive& p, const Vectors& v) {
-  const Floats c = number(p.cos_yaw);
-  const Floats s = number(p.sin_yaw);
-  return {hn::NegMulAdd(s, v.z, hn::Mul(c, v.x)), v.y, hn::MulAdd(s, v.x, hn::Mul(c, v.z))};
-}
 
 // One vector of rays, seen from a primitive's centre.
 struct Rays {
@@ -75,11 +41,6 @@ HWY_INLINE Hits hit_sphere(const Primitive& p, const Rays& r) {
   const Floats room = hn::Sub(number(p.radius * p.radius), inner(n.point, n.point));
   const Floats half_chord = hn::Sqrt(hn::Mul(hn::Max(room, hn::Zero(kTag)), r.inverse_dd));
   return {hn::Sub(n.t, half_chord), hn::Gt(room, hn::Zero(kTag))};
-}
-
-HWY_INLINE Floats guarded_inverse(Floats d) {
-  const Floats tiny = number(1e-12F);
-  return hn::Div(number(1), hn::IfThenElse(hn::Lt(hn::Abs(d), tiny), tiny, d));
 }
 
 HWY_INLINE Hits hit_box(const Primitive& p, const Rays& r) {
@@ -223,6 +184,12 @@ void trace_primitive(const Primitive& p, std::int32_t index, RayBatch& rays) {
 
 void trace_all(std::span<const Primitive> primitives, std::span<const std::uint16_t> chosen,
                RayBatch& rays) {
+  const auto step = hn::Lanes(kTag);
+  for (std::size_t i = 0; i < static_cast<std::size_t>(rays.count); i += step) {
+    const Vectors d{hn::Load(kTag, &rays.dx[i]), hn::Load(kTag, &rays.dy[i]),
+                    hn::Load(kTag, &rays.dz[i])};
+    hn::Store(hn::Div(number(1), inner(d, d)), kTag, &rays.inverse_dd[i]);
+  }
   for (const std::uint16_t i : chosen) trace_primitive(primitives[i], i, rays);
 }
 

@@ -23,7 +23,7 @@ struct alignas(64) RayBatch {
 
   Lane ox, oy, oz;                            // origins
   Lane dx, dy, dz;                            // directions
-  Lane inverse_dd;                            // 1 / (direction . direction)
+  Lane inverse_dd;                            // 1 / (direction . direction), set by trace
   Lane t;                                     // nearest hit so far; before: how far to look
   std::array<std::int32_t, kCapacity> hit{};  // what was hit: an index, or kHit...
   int count = 0;
@@ -37,13 +37,12 @@ struct alignas(64) RayBatch {
     dx[k] = direction.x;
     dy[k] = direction.y;
     dz[k] = direction.z;
-    inverse_dd[k] = 1 / dot(direction, direction);
     t[k] = t_max;
     hit[k] = kHitNothing;
   }
   // Makes ray `to` what ray `from` is, its hit included.
   void copy(std::size_t from, std::size_t to) {
-    for (Lane* lane : {&ox, &oy, &oz, &dx, &dy, &dz, &inverse_dd, &t}) (*lane)[to] = (*lane)[from];
+    for (Lane* lane : {&ox, &oy, &oz, &dx, &dy, &dz, &t}) (*lane)[to] = (*lane)[from];
     hit[to] = hit[from];
   }
 };

@@ -13,6 +13,7 @@
 #include "drivers/scene_render.h"
 #include "drivers/scene_textures.h"
 #include "firmware/base/alloc_watch.h"
+#include "tests/firmware/isa.h"
 
 namespace lcdm::scene {
 namespace {
@@ -342,6 +343,25 @@ TEST(SceneRender, AllocatesNothing) {
     render(scene, i, picture->camera, picture->rgb, {});
   }
   EXPECT_EQ(alloc_watch::thread_allocations(), before);
+}
+
+TEST(SceneRender, EveryInstructionSetPaintsTheSamePicture) {
+  for (const std::uint64_t seed : {0U, 1U, 2U}) {
+    const auto best = take(seed, 5);
+    test::for_each_isa([&] {
+      const auto other = take(seed, 5);
+      std::size_t wrong = 0;
+      for (std::size_t i = 0; i < best->depth.size(); ++i) {
+        if (std::abs(best->depth[i] - other->depth[i]) > 1e-3F * best->depth[i]) ++wrong;
+      }
+      EXPECT_LT(wrong, best->depth.size() / 500);
+      double sum = 0;
+      for (std::size_t i = 0; i < best->rgb.size(); ++i) {
+        sum += std::abs(best->rgb[i] - other->rgb[i]);
+      }
+      EXPECT_LT(sum / static_cast<double>(best->rgb.size()), 0.2);
+    });
+  }
 }
 
 TEST(SceneRender, TakesSizesThatAreNoMultipleOfItsTiles) {
