@@ -72,4 +72,12 @@ CaptureRequest capture_request(const Config& config) {
   return request;
 }
 
+RecorderOptions recorder_options(const Config& config) {
+  RecorderOptions options;
+  options.directory = config.record.directory;
+  options.segment_bytes = std::int64_t{config.record.segment_megabytes} << 20;
+  options.keep_free_bytes = std::int64_t{config.record.keep_free_megabytes} << 20;
+  return options;
+}
+
 }  // namespace lcdm

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "app/config.h"
+#include "app/recorder.h"
 #include "firmware/base/status.h"
 #include "firmware/nn/engine.h"
 #include "firmware/pipeline/camera.h"
@@ -31,5 +32,6 @@ Result<ModelFile> load_model(const Config& config);
 
 EngineOptions engine_options(const Config& config);
 CaptureRequest capture_request(const Config& config);
+RecorderOptions recorder_options(const Config& config);
 
 }  // namespace lcdm

@@ -16,7 +16,7 @@
 namespace lcdm {
 namespace {
 
-constexpr std::uintmax_t kMaxFileBytes = 256 * 1024;
+constexpr std::uintmax_t kMaxFileBytes = 256U << 10;
 
 const char* source_objection(const std::string& text) {
   if (text == "auto" || is_source_uri(text)) return nullptr;
@@ -28,6 +28,10 @@ const char* address_objection(const std::string& text) {
   if (inet_pton(AF_INET, text.c_str(), &address) == 1) return nullptr;
   if (inet_pton(AF_INET6, text.c_str(), &address) == 1) return nullptr;
   return "is no numeric address: use 127.0.0.1 (this machine only), 0.0.0.0 or :: (everybody)";
+}
+
+const char* directory_objection(const std::string& text) {
+  return text.empty() ? "is no folder: name one, such as recordings" : nullptr;
 }
 
 Status fault(const std::string& place, const std::string& text) {
@@ -250,6 +254,9 @@ std::vector<ConfigField> config_fields(Config& c) {
       {"http", "listen", &c.http.listen, 0, 0, &address_objection},
       {"http", "port", &c.http.port, 0, 65535},
       {"http", "max_clients", &c.http.max_clients, 1, 64},
+      {"record", "directory", &c.record.directory, 0, 0, directory_objection},
+      {"record", "segment_megabytes", &c.record.segment_megabytes, 1, 65536},
+      {"record", "keep_free_megabytes", &c.record.keep_free_megabytes, 0, 1e6},
   };
 }
 

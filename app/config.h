@@ -30,6 +30,11 @@ struct Config {
     int port = 8080;
     int max_clients = 8;
   } http;
+  struct Record {
+    std::string directory = "recordings";
+    int segment_megabytes = 256;
+    int keep_free_megabytes = 512;
+  } record;
 
   bool operator==(const Config&) const;
 };

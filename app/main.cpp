@@ -24,6 +24,7 @@ int main(int argc, char** argv) {
     int exit_code = lcdm::kExitOk;
     lcdm::add_run_command(program, exit_code);
     lcdm::add_infer_command(program, exit_code);
+    lcdm::add_record_command(program, exit_code);
     lcdm::add_bench_command(program, exit_code);
     lcdm::add_inspect_command(program, exit_code);
     lcdm::add_check_command(program, exit_code);

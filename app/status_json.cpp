@@ -30,9 +30,15 @@ nlohmann::json frames_json(const HealthSnapshot& now) {
           {"reopened", now.reopened}, {"sequence_gaps", now.sequence_gaps}};
 }
 
+nlohmann::json recording_json(const RecorderStatus& now) {
+  return {{"on", now.recording}, {"frames", now.frames}, {"dropped", now.dropped},
+          {"bytes", now.bytes},  {"file", now.file},     {"fault", now.fault}};
+}
+
 }  // namespace
 
-nlohmann::json status_json(const Pipeline& pipeline, int viewers, std::int64_t started_ns) {
+nlohmann::json status_json(const Pipeline& pipeline, const RecorderStatus& recorder, int viewers,
+                           std::int64_t started_ns) {
   const std::int64_t now_ns = os::monotonic_ns();
   const HealthSnapshot now = pipeline.health().snapshot(now_ns);
   const Pipeline::Source source = pipeline.source();
@@ -62,6 +68,7 @@ nlohmann::json status_json(const Pipeline& pipeline, int viewers, std::int64_t s
         {"width", engine.depth_camera.width},
         {"height", engine.depth_camera.height}}},
       {"model", model_json(engine.stats)},
+      {"recording", recording_json(recorder)},
   };
 }
 

@@ -29,10 +29,11 @@ constexpr const char* kText = "text/plain; charset=utf-8";
 struct Service {
   const Pipeline& pipeline;
   LiveView& view;
+  Recorder& recorder;
   std::int64_t started_ns;
 
   nlohmann::json status(const HttpExchange& exchange) const {
-    return status_json(pipeline, exchange.viewers(), started_ns);
+    return status_json(pipeline, recorder.status(), exchange.viewers(), started_ns);
   }
 };
 using ServicePtr = std::shared_ptr<const Service>;
@@ -61,6 +62,21 @@ HttpHeaders depth_headers(const ProductCopy& product) {
           {"X-Frame-Sequence", std::to_string(product.meta.sequence)},
           {"X-Frame-Stamp", std::to_string(product.meta.unix_ns)},
           {"X-Frame-Age", age}};
+}
+
+void start_recording(const Service& service, HttpExchange& exchange) {
+  const Pipeline::Source source = service.pipeline.source();
+  const Status status = service.recorder.start(source.info.uri, source.format, source.model);
+  if (!status) {
+    exchange.send_text(500, kText, std::string(status.text()) + "\n");
+    return;
+  }
+  exchange.send_text(200, kJson, service.status(exchange)["recording"].dump() + "\n");
+}
+
+void stop_recording(const Service& service, HttpExchange& exchange) {
+  service.recorder.stop();
+  exchange.send_text(200, kJson, service.status(exchange)["recording"].dump() + "\n");
 }
 
 void send_depth_png(const Service& service, HttpExchange& exchange) {
@@ -97,7 +113,9 @@ void stream_mjpeg(const Service& service, HttpExchange& exchange) {
     }
     std::string head = "--frame\r\nContent-Type: image/jpeg\r\nContent-Length: " +
                        std::to_string(product.bytes.size()) + "\r\n";
-    for (const auto& [name, value] : depth_headers(product)) head += name + ": " + value + "\r\n";
+    for (const auto& [name, value] : depth_headers(product)) {
+      head.append(name).append(": ").append(value).append("\r\n");
+    }
     open = exchange.write_text(head + "\r\n") && exchange.write(product.bytes) &&
            exchange.write_text("\r\n");
   }
@@ -139,11 +157,15 @@ void stream_live(const Service& service, HttpExchange& exchange) {
 
 }  // namespace
 
-std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view) {
+std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view, Recorder& recorder) {
   const ServicePtr service =
-      std::make_shared<const Service>(Service{pipeline, view, os::monotonic_ns()});
+      std::make_shared<const Service>(Service{pipeline, view, recorder, os::monotonic_ns()});
   const auto route = [&](const char* path, bool is_stream, auto handler) {
     return HttpRoute{path, "GET", is_stream,
+                     [service, handler](HttpExchange& exchange) { handler(*service, exchange); }};
+  };
+  const auto action = [&](const char* path, auto handler) {
+    return HttpRoute{path, "POST", false,
                      [service, handler](HttpExchange& exchange) { handler(*service, exchange); }};
   };
   return {
@@ -161,6 +183,8 @@ std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view) {
               exchange.send_text(200, kJson, s.status(exchange).dump(2) + "\n");
             }),
       route("/healthz", false, send_health),
+      action("/record/start", start_recording),
+      action("/record/stop", stop_recording),
   };
 }
 

@@ -1,8 +1,7 @@
 // lcdm run: the camera service. Source -> pipeline -> page.
 #include <algorithm>
-#include <csignal>
+#include <chrono>
 #include <cstdio>
-#include <ctime>
 #include <memory>
 #include <optional>
 #include <string>
@@ -14,13 +13,17 @@
 #include "app/http_server.h"
 #include "app/live_view.h"
 #include "app/mjpeg_decoder.h"
+#include "app/recorder.h"
 #include "app/report.h"
 #include "app/source.h"
+#include "app/stop_signals.h"
 #include "app/web_service.h"
 #include "firmware/pipeline/pipeline.h"
 
 namespace lcdm {
 namespace {
+
+constexpr std::chrono::milliseconds kWatchPeriod{250};
 
 struct RunOptions {
   CommonOptions common;
@@ -28,22 +31,6 @@ struct RunOptions {
   std::string listen;
   std::string port;
 };
-
-// Blocked in every thread, so that main alone takes them in wait_for_signal.
-sigset_t block_signals() {
-  sigset_t signals;
-  sigemptyset(&signals);
-  sigaddset(&signals, SIGINT);
-  sigaddset(&signals, SIGTERM);
-  pthread_sigmask(SIG_BLOCK, &signals, nullptr);
-  return signals;
-}
-
-// True when a signal to end came within a quarter of a second.
-bool wait_for_signal(const sigset_t& signals) {
-  const timespec timeout{0, 250'000'000};
-  return sigtimedwait(&signals, nullptr, &timeout) > 0;
-}
 
 Result<Config> load(const RunOptions& options) {
   std::vector<ConfigAssignment> more;
@@ -74,9 +61,9 @@ Pipeline::EngineFactory engine_factory(const Config& config, ModelFile first) {
 }
 
 // Says when the state changes, until a signal comes or the source ends.
-void watch(const Pipeline& pipeline, const sigset_t& signals) {
+void watch(const Pipeline& pipeline, const StopSignals& signals) {
   PipelineState last = PipelineState::kStarting;
-  while (!wait_for_signal(signals)) {
+  while (!signals.wait_for(kWatchPeriod)) {
     const PipelineState now = pipeline.health().state();
     if (now == last) continue;
     last = now;
@@ -98,7 +85,7 @@ void announce(const HttpServer& server, const Pipeline& pipeline) {
 }
 
 int run(const RunOptions& options) {
-  const sigset_t signals = block_signals();
+  const StopSignals signals;
   Result<Config> config = load(options);
   if (!config) return report_unusable(config.status());
   Result<ModelFile> model = load_model(*config);
@@ -115,18 +102,19 @@ int run(const RunOptions& options) {
 
   MjpegDecoder decoder;
   LiveView view(config->camera.source);
+  Recorder recorder(recorder_options(*config));
   PipelineOptions pipeline_options;
   pipeline_options.request = capture_request(*config);
   pipeline_options.seal_capture = source->seal_capture;
-  Pipeline pipeline(*source->camera, engine_factory(*config, std::move(*model)), &decoder, {&view},
-                    pipeline_options);
+  Pipeline pipeline(*source->camera, engine_factory(*config, std::move(*model)), &decoder,
+                    {&view, &recorder}, pipeline_options);
 
   // The port first: it fails at once, before a camera is opened.
   HttpOptions http;
   http.listen = config->http.listen;
   http.port = config->http.port;
   http.max_clients = config->http.max_clients;
-  const auto server = HttpServer::start(http, web_routes(pipeline, view));
+  const auto server = HttpServer::start(http, web_routes(pipeline, view, recorder));
   if (!server) return report_failure(server.status());
 
   const Status started = pipeline.start();
@@ -137,6 +125,7 @@ int run(const RunOptions& options) {
   view.stop();
   (*server)->stop();
   pipeline.stop();
+  recorder.stop();
   return started ? kExitOk : report_failure(started);
 }
 

@@ -15,6 +15,7 @@ let statusTime = 0;               // performance.now() when `status` came
 let link = "connecting";          // connecting, up, or offline
 let linkText = "";
 let frozen = false;
+let recordFault = "";            // why the last Record press did nothing
 
 // ---- what is shown ------------------------------------------------------------------------------
 
@@ -154,6 +155,7 @@ async function onMessage(message) {
     }
   }
   showFigures();
+  showRecording();
   showState();
   if (message.depth) showMarker();
   if (document.querySelector(".details").open) showDetails();
@@ -203,6 +205,26 @@ function toggleFreeze() {
   if (status) showState();
 }
 
+// Colour frames into MCAP segments on the device. What the button shows is what the status says.
+async function toggleRecording() {
+  if (!status) return;
+  const action = status.recording.on ? "stop" : "start";
+  const answer = await fetch(`/record/${action}`, { method: "POST" });
+  if (!answer.ok) recordFault = (await answer.text()).trim();
+  else recordFault = "";
+  showRecording();
+}
+
+function showRecording() {
+  const { on, frames, dropped, fault, file } = status.recording;
+  $("record").setAttribute("aria-pressed", String(on));
+  setText("record", on ? "Recording" : "Record");
+  const problem = recordFault || fault;
+  $("record-note").hidden = !on && !problem;
+  const lost = dropped ? `, ${dropped} lost` : "";
+  setText("record-text", on ? `${file}: ${frames} frames${lost}` : problem);
+}
+
 function setTheme(theme) {
   document.documentElement.dataset.theme = theme;
   localStorage.setItem("theme", theme);
@@ -213,6 +235,7 @@ setTheme(localStorage.getItem("theme") ?? systemTheme);
 const toggleTheme = () =>
   setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
 
+$("record").addEventListener("click", toggleRecording);
 $("freeze").addEventListener("click", toggleFreeze);
 $("theme").addEventListener("click", toggleTheme);
 document.querySelector(".details").addEventListener("toggle", () => status && showDetails());
@@ -222,6 +245,8 @@ document.addEventListener("keydown", (event) => {
   if (event.key === " " && !onControl) {
     event.preventDefault();
     toggleFreeze();
+  } else if (event.key === "r") {
+    toggleRecording();
   } else if (event.key === "t") {
     toggleTheme();
   }

@@ -1,0 +1,130 @@
+// lcdm record: frames of a source into MCAP segments, without depth.
+#include <chrono>
+#include <cstdio>
+#include <memory>
+#include <string>
+#include <thread>
+
+#include "app/commands/commands.h"
+#include "app/common_options.h"
+#include "app/exit_code.h"
+#include "app/recorder.h"
+#include "app/report.h"
+#include "app/source.h"
+#include "app/stop_signals.h"
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+using std::chrono::milliseconds;
+
+constexpr milliseconds kDequeueTimeout{200};
+
+struct RecordOptions {
+  CommonOptions common;
+  std::string source;
+  std::string output;
+  double seconds = 0;  // 0: until a signal or the end of the source
+};
+
+Result<Config> load(const RecordOptions& options) {
+  std::vector<ConfigAssignment> more;
+  if (!options.source.empty()) {
+    more.push_back({"camera.source=" + options.source, "--source " + options.source});
+  }
+  if (!options.output.empty()) {
+    more.push_back({"record.directory=" + options.output, "--output " + options.output});
+  }
+  return options.common.load(std::move(more));
+}
+
+// A frame of a file waits for its turn; one of a camera is lost when the disk is too slow.
+void take(Recorder& recorder, const FrameView& frame, bool live) {
+  if (live) {
+    recorder.push_or_drop(frame);
+    return;
+  }
+  while (recorder.status().recording && !recorder.push(frame)) {
+    std::this_thread::sleep_for(milliseconds(1));
+  }
+}
+
+// Until a signal, the time is over, the source ends or fails, or the recording does.
+Status record_frames(Camera& camera, Recorder& recorder, bool live, double seconds,
+                     const StopSignals& signals) {
+  const std::int64_t end =
+      seconds > 0 ? os::monotonic_ns() + static_cast<std::int64_t>(seconds * 1e9) : INT64_MAX;
+  while (os::monotonic_ns() < end && !signals.wait_for(milliseconds(0))) {
+    const auto frame = camera.dequeue(kDequeueTimeout);
+    if (frame) {
+      take(recorder, frame->view, live);
+      LCDM_RETURN_IF_ERROR(camera.requeue(frame->index));
+    } else if (frame.code() == StatusCode::kEndOfStream) {
+      break;
+    } else if (frame.code() != StatusCode::kTimeout && frame.code() != StatusCode::kCorrupt) {
+      return frame.status();
+    }
+    const RecorderStatus now = recorder.status();
+    if (!now.recording) return Status::error(StatusCode::kIoError, "%s", now.fault.c_str());
+  }
+  return Status::ok();
+}
+
+int record(const RecordOptions& options) {
+  const StopSignals signals;
+  Result<Config> config = load(options);
+  if (!config) return report_unusable(config.status());
+  if (config->camera.source == "auto") {
+    config->camera.source = choose_source(capture_request(*config), [](const std::string& line) {
+      std::printf("%s\n", line.c_str());
+    });
+  }
+  Result<OpenedSource> source = open_source(config->camera.source, Playback::kOffline);
+  if (!source) return report_failure(source.status());
+  Camera& camera = *source->camera;
+  if (const Status status = camera.configure(capture_request(*config)); !status) {
+    return report_failure(status);
+  }
+
+  Recorder recorder(recorder_options(*config));
+  Status status = recorder.start(camera.info().uri, camera.format(), camera.model());
+  if (status) status = camera.start();
+  if (status) {
+    std::printf("source  %s\nfile    %s\n", camera.info().description.c_str(),
+                recorder.status().file.c_str());
+    std::fflush(stdout);
+    status = record_frames(camera, recorder, source->endless, options.seconds, signals);
+  }
+  camera.stop();
+  recorder.stop();
+  const RecorderStatus done = recorder.status();
+  if (status && !done.fault.empty()) {
+    status = Status::error(StatusCode::kIoError, "%s", done.fault.c_str());
+  }
+  if (!status) return report_failure(status);
+  std::printf("%llu frames, %.1f MB%s\n", static_cast<unsigned long long>(done.frames),
+              static_cast<double>(done.bytes) * 1e-6,
+              done.dropped == 0 ? "" : (", " + std::to_string(done.dropped) + " dropped").c_str());
+  return kExitOk;
+}
+
+}  // namespace
+
+void add_record_command(CLI::App& program, int& exit_code) {
+  auto options = std::make_shared<RecordOptions>();
+  CLI::App* command = program.add_subcommand(
+      "record", "Frames of a source with stamps and calibration into MCAP segments");
+  command->add_option("--source", options->source, "As for run; files are recorded frame by frame")
+      ->type_name("URI");
+  command->add_option("--output", options->output, "Folder of the segments (default: recordings)")
+      ->type_name("DIR");
+  command
+      ->add_option("--seconds", options->seconds,
+                   "How long (default: until Ctrl-C or the end of the source)")
+      ->check(CLI::PositiveNumber);
+  options->common.add_to(*command);
+  command->callback([options, &exit_code] { exit_code = record(*options); });
+}
+
+}  // namespace lcdm
