@@ -1,0 +1,182 @@
+// What the recorder writes: read by the container's reference implementation, played back by our
+// own source, and what happens when the disk does not play along.
+#include "app/recorder.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <sys/wait.h>
+#include <thread>
+#include <vector>
+
+#include "drivers/mcap_camera.h"
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+namespace fs = std::filesystem;
+using std::chrono::milliseconds;
+
+constexpr FrameFormat kFormat{PixelFormat::kRgb24, 64, 48, 64 * 3};
+constexpr CameraModel kCamera{64, 48, 60, 61, 31.5F, 23.5F, true};
+constexpr std::int64_t kFirstStamp = 1'700'000'000'000'000'000;
+constexpr std::int64_t kPeriod = 100'000'000;  // ten frames a second: a chunk holds ten
+
+class RecorderTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ =
+        fs::temp_directory_path() / ("lcdm_recorder_test_" + std::to_string(os::monotonic_ns()));
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  RecorderOptions options() const { return {folder_.string(), 64 << 20, 0}; }
+
+  // Frame `number`: one grey level, so that what comes back can be told apart.
+  FrameView frame(int number) {
+    pixels_.assign(64 * 48 * 3, static_cast<std::uint8_t>(20 + 10 * (number % 20)));
+    FrameView view{kFormat, {}, pixels_.data(), pixels_.size()};
+    view.meta.sequence = static_cast<std::uint64_t>(number);
+    view.meta.unix_ns = kFirstStamp + number * kPeriod;
+    return view;
+  }
+
+  // Pushes as a file would: every frame waits for its turn.
+  void record(Recorder& recorder, int count) {
+    const Status started = recorder.start("scene:1", kFormat, kCamera);
+    ASSERT_TRUE(started) << started.text();
+    for (int i = 0; i < count; ++i) {
+      while (recorder.status().recording && !recorder.push(frame(i))) {
+        std::this_thread::sleep_for(milliseconds(1));
+      }
+    }
+    recorder.stop();
+  }
+
+  std::vector<std::string> segments() const {
+    std::vector<std::string> found;
+    for (const auto& entry : fs::directory_iterator(folder_)) found.push_back(entry.path());
+    std::sort(found.begin(), found.end());
+    return found;
+  }
+
+  fs::path folder_;
+  std::vector<std::uint8_t> pixels_;
+};
+
+nlohmann::json read_with_peer(const std::string& file) {
+  if (!fs::exists("tests/peers/node_modules/@mcap/core")) return {};
+  FILE* pipe = popen(("node tests/peers/read_mcap.mjs " + file).c_str(), "r");
+  std::string output;
+  char block[4096];
+  while (const std::size_t n = std::fread(block, 1, sizeof(block), pipe)) output.append(block, n);
+  EXPECT_EQ(WEXITSTATUS(pclose(pipe)), 0) << "the reference reader refused " << file;
+  return nlohmann::json::parse(output, nullptr, false);
+}
+
+TEST_F(RecorderTest, ASegmentIsReadByTheReferenceImplementation) {
+  Recorder recorder(options());
+  record(recorder, 25);
+  ASSERT_EQ(segments().size(), 1U);
+  const auto json = read_with_peer(segments()[0]);
+  if (json.is_null()) GTEST_SKIP() << "run `npm install` in tests/peers first";
+  EXPECT_EQ(json["metadata"]["lcdm"]["source"], "scene:1");
+  EXPECT_EQ(json["chunks"], 3);  // one a second
+  int pictures = 0;
+  int calibrations = 0;
+  for (const auto& message : json["messages"]) {
+    if (message["topic"] == "/camera/calibration") {
+      EXPECT_EQ(message["K"][0], 60);
+      ++calibrations;
+      continue;
+    }
+    EXPECT_EQ(message["stamp"], std::to_string(kFirstStamp + pictures * kPeriod));
+    EXPECT_EQ(message["begins"], "ffd8ff");
+    ++pictures;
+  }
+  EXPECT_EQ(pictures, 25);
+  EXPECT_EQ(calibrations, 3);
+}
+
+TEST_F(RecorderTest, ARecordingPlaysBackAsASourceWithItsStampsAndIntrinsics) {
+  Recorder recorder(options());
+  record(recorder, 12);
+  McapCamera camera(folder_.string(), McapCamera::Playback::kOffline);
+  const Status configured = camera.configure({});
+  ASSERT_TRUE(configured) << configured.text();
+  EXPECT_EQ(camera.format(), (FrameFormat{PixelFormat::kMjpeg, 64, 48, 0}));
+  EXPECT_TRUE(camera.model().calibrated);
+  EXPECT_FLOAT_EQ(camera.model().fy, 61);
+  ASSERT_TRUE(camera.start());
+  for (int i = 0; i < 12; ++i) {
+    const auto played = camera.dequeue(milliseconds(500));
+    ASSERT_TRUE(played) << played.status().text();
+    EXPECT_EQ(played->view.meta.unix_ns, kFirstStamp + i * kPeriod);
+    ASSERT_TRUE(camera.requeue(played->index));
+  }
+  EXPECT_EQ(camera.dequeue(milliseconds(10)).code(), StatusCode::kEndOfStream);
+}
+
+TEST_F(RecorderTest, AFullSegmentIsFollowedByTheNextWithoutLosingAFrame) {
+  RecorderOptions small = options();
+  small.segment_bytes = 8192;
+  Recorder recorder(small);
+  record(recorder, 120);
+  EXPECT_GT(segments().size(), 1U);
+  EXPECT_EQ(recorder.status().frames, 120U);
+
+  McapCamera camera(folder_.string(), McapCamera::Playback::kOffline);
+  ASSERT_TRUE(camera.configure({}));
+  ASSERT_TRUE(camera.start());
+  int played = 0;
+  while (const auto next = camera.dequeue(milliseconds(500))) {
+    EXPECT_EQ(next->view.meta.unix_ns, kFirstStamp + played * kPeriod);
+    ASSERT_TRUE(camera.requeue(next->index));
+    ++played;
+  }
+  EXPECT_EQ(played, 120);
+}
+
+TEST_F(RecorderTest, ADiskThatFillsUpEndsTheRecordingAndSaysSo) {
+  RecorderOptions greedy = options();
+  greedy.keep_free_bytes = INT64_MAX;
+  Recorder recorder(greedy);
+  record(recorder, 40);
+  const RecorderStatus status = recorder.status();
+  EXPECT_FALSE(status.recording);
+  EXPECT_NE(status.fault.find("are free on the disk"), std::string::npos) << status.fault;
+  EXPECT_FALSE(recorder.push(frame(0)));
+}
+
+TEST_F(RecorderTest, AFolderThatCannotBeMadeIsRefusedWithTheCure) {
+  Recorder recorder({"/proc/nowhere", 1 << 20, 0});
+  const Status status = recorder.start("scene:1", kFormat, kCamera);
+  EXPECT_FALSE(status);
+  EXPECT_NE(std::string(status.text()).find("[record] directory"), std::string::npos);
+  EXPECT_FALSE(recorder.status().recording);
+}
+
+TEST_F(RecorderTest, AFrameOfAnotherFormatCountsAsDroppedAndHarmsNothing) {
+  Recorder recorder(options());
+  ASSERT_TRUE(recorder.start("scene:1", kFormat, kCamera));
+  FrameView other = frame(0);
+  other.format.width = 32;
+  recorder.push_or_drop(other);
+  EXPECT_EQ(recorder.status().dropped, 1U);
+  recorder.stop();
+}
+
+TEST_F(RecorderTest, CanBeStartedAgain) {
+  Recorder recorder(options());
+  record(recorder, 3);
+  record(recorder, 3);
+  EXPECT_EQ(segments().size(), 2U);
+}
+
+}  // namespace
+}  // namespace lcdm
