@@ -2,7 +2,6 @@
 
 #include <cmath>
 
-#include "firmware/base/check.h"
 #include "firmware/nn/noise.h"
 #include "firmware/nn/sampler.h"
 
@@ -247,16 +246,13 @@ torch::Tensor DecoderImpl::forward(const std::array<torch::Tensor, 5>& taps) {
   return torch::elu(condition->forward(x));
 }
 
-HeadImpl::HeadImpl(const ModelConfig& config, bool folded) {
+HeadImpl::HeadImpl(const ModelConfig& config) {
   const int c = config.condition_channels;
   const std::size_t steps = config.steps.size();
   embed = register_module("embed", conv3x3(1, c));
   time_embed =
       register_parameter("time_embed", torch::randn({ModelConfig::kDiffusionSteps, c}) * 0.1);
-  for (std::size_t k = 0; k < (folded ? steps : 1); ++k) {
-    conv1.push_back(
-        register_module(folded ? "conv1_" + std::to_string(k) : "conv1", conv3x3(c, c)));
-  }
+  conv1 = register_module("conv1", conv3x3(c, c));
   if (config.preset == PresetKind::kLcdm) {
     nn::ModuleList norms;
     for (std::size_t k = 0; k < steps; ++k) {
@@ -273,12 +269,11 @@ HeadImpl::HeadImpl(const ModelConfig& config, bool folded) {
 
 torch::Tensor HeadImpl::hidden(const torch::Tensor& condition, const torch::Tensor& x,
                                const torch::Tensor& times, int step, Statistics statistics) {
-  const auto k = static_cast<std::size_t>(step);
   const torch::Tensor time = time_embed.index_select(0, times).unsqueeze(-1).unsqueeze(-1);
   const torch::Tensor fused = condition + time + embed->forward(x);
-  const torch::Tensor y = conv1[std::min(k, conv1.size() - 1)]->forward(fused);
+  const torch::Tensor y = conv1->forward(fused);
   if (norm.empty()) return torch::relu(group_norm->forward(y));
-  nn::BatchNorm2d& bn = norm[k];
+  nn::BatchNorm2d& bn = norm[static_cast<std::size_t>(step)];
   if (statistics == Statistics::kUpdate || !bn->is_training()) return torch::relu(bn->forward(y));
   return torch::relu(
       torch::batch_norm(y, bn->weight, bn->bias, {}, {}, true, 0, kNormEpsilon, false));
@@ -289,14 +284,11 @@ torch::Tensor HeadImpl::forward(const torch::Tensor& condition, const torch::Ten
   return conv2->forward(hidden(condition, x, times, step, statistics));
 }
 
-DepthNetworkImpl::DepthNetworkImpl(const ModelConfig& model, const NetworkOptions& options)
-    : config(model) {
+DepthNetworkImpl::DepthNetworkImpl(const ModelConfig& model) : config(model) {
   encoder = register_module("encoder", MobileVit(config.encoder));
   decoder = register_module("decoder", Decoder(config, encoder->channels));
-  head = register_module("head", Head(config, options.folded));
-  if (options.direct) {
-    direct = register_module("direct", conv3x3(config.condition_channels, 1));
-  }
+  head = register_module("head", Head(config));
+  direct = register_module("direct", conv3x3(config.condition_channels, 1));
 }
 
 torch::Tensor DepthNetworkImpl::condition_of(const torch::Tensor& rgb) {
@@ -324,10 +316,7 @@ int DepthNetworkImpl::step_of(int t) const {
 }
 
 torch::Tensor DepthNetworkImpl::sample(const torch::Tensor& condition, int steps) {
-  if (steps == 0) {
-    LCDM_CHECK(!direct.is_empty());
-    return direct->forward(condition);
-  }
+  if (steps == 0) return direct->forward(condition);
   ModelConfig schedule = config;
   if (steps != static_cast<int>(config.steps.size())) {
     schedule.steps = sampler_times(config.preset, steps);

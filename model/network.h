@@ -109,8 +109,7 @@ TORCH_MODULE(Decoder);
 enum class Statistics : std::uint8_t { kUpdate, kLeave };
 
 struct HeadImpl : torch::nn::Module {
-  // `folded`: conv1 is separate for every sampler step, as in an exported file.
-  HeadImpl(const ModelConfig& config, bool folded);
+  explicit HeadImpl(const ModelConfig& config);
 
   // One evaluation. condition [B, 16, H, W], x [B, 1, H, W], times [B] int64; `step` selects the
   // norm. Returns [B, 1, H, W].
@@ -122,21 +121,16 @@ struct HeadImpl : torch::nn::Module {
 
   torch::nn::Conv2d embed = nullptr;
   torch::Tensor time_embed;  // [150, 16]
-  std::vector<torch::nn::Conv2d> conv1;
+  torch::nn::Conv2d conv1 = nullptr;
   std::vector<torch::nn::BatchNorm2d> norm;   // one per sampler step; empty for `paper`
   torch::nn::GroupNorm group_norm = nullptr;  // `paper`
   torch::nn::Conv2d conv2 = nullptr;
 };
 TORCH_MODULE(Head);
 
-struct NetworkOptions {
-  bool folded = false;  // made to hold an exported file
-  bool direct = true;   // with the 0-step convolution, which only training has
-};
-
 // The whole network. Not thread-safe.
 struct DepthNetworkImpl : torch::nn::Module {
-  explicit DepthNetworkImpl(const ModelConfig& config, const NetworkOptions& options = {});
+  explicit DepthNetworkImpl(const ModelConfig& config);
 
   // Normalised RGB [B, 3, H, W] -> condition [B, 16, H, W].
   torch::Tensor condition_of(const torch::Tensor& rgb);
@@ -153,7 +147,7 @@ struct DepthNetworkImpl : torch::nn::Module {
   MobileVit encoder = nullptr;
   Decoder decoder = nullptr;
   Head head = nullptr;
-  torch::nn::Conv2d direct = nullptr;  // 3x3, condition -> variable
+  torch::nn::Conv2d direct = nullptr;  // 3x3, condition -> variable; not exported
 };
 TORCH_MODULE(DepthNetwork);
 

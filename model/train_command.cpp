@@ -113,7 +113,6 @@ void add_train(CLI::App& app, Status& status) {
   auto* command = app.add_subcommand("train", "Trains a network; Ctrl-C saves and stops");
   auto options = std::make_shared<Options>();
   Recipe& recipe = options->recipe;
-  command->set_config("--recipe", "", "File of these options (model/recipes/)");
   add_data_options(*command, options->data);
   command->add_option("--output", options->output, "Folder of the checkpoint and curve.csv")->capture_default_str();
   command->add_flag("--resume", options->resume, "Go on from the folder's checkpoint");

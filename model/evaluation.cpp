@@ -1,0 +1,153 @@
+#include "model/evaluation.h"
+
+#include <cmath>
+#include <filesystem>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+
+#include "firmware/nn/network.h"
+#include "model/batch.h"
+#include "model/depth_code.h"
+#include "model/folded_net.h"
+#include "model/trainer.h"
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+
+// The frame as the network's input, [1, 3, h, w].
+torch::Tensor input_of(const PackFrame& frame) {
+  const cv::Size size = deployed_size(frame.rgb.size());
+  cv::Mat resized;
+  cv::resize(frame.rgb, resized, size, 0, 0,
+             frame.rgb.cols > size.width ? cv::INTER_AREA : cv::INTER_LINEAR);
+  return normalised(resized).permute({2, 0, 1}).unsqueeze(0);
+}
+
+cv::Mat to_mat(const torch::Tensor& depth) {
+  const torch::Tensor packed = depth.squeeze().contiguous();
+  return cv::Mat(static_cast<int>(packed.size(0)), static_cast<int>(packed.size(1)), CV_32F,
+                 packed.data_ptr())
+      .clone();
+}
+
+// Inverse depth as colours between its own 2nd and 98th percentile over `valid`.
+cv::Mat colour_of(const cv::Mat& depth) {
+  std::vector<float> values;
+  for (int y = 0; y < depth.rows; ++y) {
+    for (int x = 0; x < depth.cols; ++x) {
+      if (depth.at<float>(y, x) > 0) values.push_back(1 / depth.at<float>(y, x));
+    }
+  }
+  cv::Mat colour = cv::Mat::zeros(depth.size(), CV_8UC3);
+  if (values.empty()) return colour;
+  std::sort(values.begin(), values.end());
+  const float low = values[values.size() / 50];
+  const float high = values[values.size() - 1 - values.size() / 50];
+  cv::Mat inverse = 1 / cv::max(depth, 1e-6);
+  cv::Mat grey;
+  inverse.convertTo(grey, CV_8U, 255.0 / std::max(high - low, 1e-6F),
+                    -255.0 * low / std::max(high - low, 1e-6F));
+  cv::applyColorMap(grey, colour, cv::COLORMAP_MAGMA);
+  colour.setTo(cv::Scalar::all(0), depth <= 0);
+  return colour;
+}
+
+}  // namespace
+
+cv::Size deployed_size(cv::Size picture) {
+  const auto distance = [&picture](const int (&size)[2]) {
+    return std::fabs(std::log(static_cast<double>(size[0]) / size[1] * picture.height / picture.width));
+  };
+  const int(&best)[2] =
+      distance(kDeployed[0]) < distance(kDeployed[1]) ? kDeployed[0] : kDeployed[1];
+  return {best[0], best[1]};
+}
+
+Estimator network_estimator(DepthNetwork& network, int steps) {
+  return [&network, steps](const PackFrame& frame) {
+    const torch::NoGradGuard no_grad;
+    const torch::Tensor condition = network->condition_of(input_of(frame));
+    return to_mat(depth_of_variable(network->sample(condition, steps), network->config));
+  };
+}
+
+Result<Estimator> file_estimator(const std::string& path) {
+  const Result<ModelFile> file = ModelFile::load(path);
+  if (!file) return file.status();
+  const Result<Network> layers = Network::build(file->config(), kDeployed[0][0], kDeployed[0][1]);
+  if (!layers) return layers.status();
+  LCDM_RETURN_IF_ERROR(layers->check_weights(*file));
+  auto net = std::make_shared<FoldedNet>(*file);
+  return Estimator([net](const PackFrame& frame) {
+    const torch::NoGradGuard no_grad;
+    return to_mat(net->forward(input_of(frame).contiguous()));
+  });
+}
+
+Estimator teacher_estimator(const PackUse& use, const std::string& root) {
+  return [folder = fs::path(root) / use.name / "teacher_meter"](const PackFrame& frame) {
+    const cv::Mat raw = cv::imread((folder / (frame.name + ".png")).string(), cv::IMREAD_UNCHANGED);
+    cv::Mat depth;
+    if (!raw.empty()) raw.convertTo(depth, CV_32F, 1.0 / 256);
+    return depth;
+  };
+}
+
+Estimator folder_estimator(const std::string& folder) {
+  return [root = fs::path(folder)](const PackFrame& frame) {
+    const auto read = [&](const char* extension) {
+      return cv::imread((root / (frame.name + extension)).string(), cv::IMREAD_UNCHANGED);
+    };
+    cv::Mat depth = read(".tiff");
+    if (depth.type() == CV_32FC1 && !depth.empty()) return depth;
+    const cv::Mat raw = read(".png");
+    depth = cv::Mat();
+    if (raw.type() == CV_16UC1 && !raw.empty()) raw.convertTo(depth, CV_32F, 0.001);
+    return depth;
+  };
+}
+
+Estimator constant_estimator() {
+  return [](const PackFrame& frame) { return cv::Mat(frame.depth.size(), CV_32F, cv::Scalar(1)); };
+}
+
+PackResult evaluate(const Pack& pack, const std::vector<std::size_t>& frames,
+                    const Protocol& protocol, const Estimator& estimator) {
+  PackResult result;
+  for (const std::size_t index : frames) {
+    const PackFrame& frame = pack.frames[index];
+    const cv::Mat estimate = estimator(frame);
+    Metrics metrics;
+    if (estimate.empty() || !measure(estimate, frame.depth, protocol, metrics)) {
+      ++result.missing;
+      continue;
+    }
+    result.images.push_back(metrics);
+  }
+  result.mean = mean_of(result.images);
+  return result;
+}
+
+Protocol protocol_of(const std::string& pack) {
+  if (pack == "scene") return Protocol::scene();
+  return pack.find("indoor") != std::string::npos || pack.find("rooms") != std::string::npos ||
+                 pack.find("7scenes") != std::string::npos
+             ? Protocol::indoor()
+             : Protocol::driving();
+}
+
+cv::Mat comparison_picture(const PackFrame& frame, const cv::Mat& estimate) {
+  cv::Mat bgr;
+  cv::cvtColor(frame.rgb, bgr, cv::COLOR_RGB2BGR);
+  cv::Mat resized;
+  cv::resize(estimate, resized, frame.rgb.size(), 0, 0, cv::INTER_NEAREST);
+  cv::Mat truth = frame.depth.clone();
+  truth.setTo(0, truth > 100);
+  cv::Mat row;
+  cv::hconcat(std::vector<cv::Mat>{bgr, colour_of(truth), colour_of(resized)}, row);
+  return row;
+}
+
+}  // namespace lcdm::model

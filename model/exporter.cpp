@@ -1,0 +1,91 @@
+#include "model/exporter.h"
+
+#include "model/config_json.h"
+#include "model/safetensors.h"
+
+namespace lcdm::model {
+namespace {
+
+using Tensors = std::map<std::string, torch::Tensor>;
+
+// What BatchNorm with running statistics multiplies by; it adds bias - mean * scale.
+torch::Tensor scale_of(const torch::nn::BatchNorm2dImpl& bn) {
+  return bn.weight / (bn.running_var + bn.options.eps()).sqrt();
+}
+
+void put_conv(const torch::nn::Conv2d& conv, const std::string& name, Tensors& out) {
+  out[name + ".weight"] = conv->weight;
+  if (conv->bias.defined()) out[name + ".bias"] = conv->bias;
+}
+
+void fold_encoder(const MobileVit& encoder, Tensors& out) {
+  for (const auto& item : encoder->named_modules("encoder", false)) {
+    const std::string& name = item.key();
+    if (const auto* block = item.value()->as<ConvNorm>()) {
+      const torch::Tensor scale = scale_of(*block->bn);
+      out[name + ".weight"] = block->conv->weight * scale.reshape({-1, 1, 1, 1});
+      out[name + ".bias"] = block->bn->bias - block->bn->running_mean * scale;
+    } else if (const auto* vit = item.value()->as<MobileVitBlock>()) {
+      put_conv(vit->conv_1x1, name + ".conv_1x1", out);
+    } else if (item.value()->as<torch::nn::Linear>() != nullptr ||
+               item.value()->as<torch::nn::LayerNorm>() != nullptr) {
+      for (const auto& parameter : item.value()->named_parameters()) {
+        out[name + "." + parameter.key()] = parameter.value();
+      }
+    }
+  }
+}
+
+void fold_head(const Head& head, const ModelConfig& config, Tensors& out) {
+  out["head.embed.weight"] = head->embed->weight;
+  for (std::size_t k = 0; k < config.steps.size(); ++k) {
+    const std::string step = "head.steps." + std::to_string(k);
+    out[step + ".embed.bias"] = head->embed->bias + head->time_embed[config.steps[k]];
+    torch::Tensor weight = head->conv1->weight;
+    torch::Tensor bias = head->conv1->bias;
+    if (!head->norm.empty()) {
+      const torch::Tensor scale = scale_of(*head->norm[k]);
+      weight = weight * scale.reshape({-1, 1, 1, 1});
+      bias = (bias - head->norm[k]->running_mean) * scale + head->norm[k]->bias;
+    }
+    out[step + ".conv1.weight"] = weight;
+    out[step + ".conv1.bias"] = bias;
+  }
+  if (head->norm.empty()) {
+    out["head.norm.weight"] = head->group_norm->weight;
+    out["head.norm.bias"] = head->group_norm->bias;
+  }
+  put_conv(head->conv2, "head.conv2", out);
+}
+
+}  // namespace
+
+Tensors fold_network(const DepthNetwork& network) {
+  const torch::NoGradGuard no_grad;
+  Tensors out;
+  fold_encoder(network->encoder, out);
+  for (std::size_t i = 0; i < network->decoder->upconv.size(); ++i) {
+    for (std::size_t j = 0; j < 2; ++j) {
+      put_conv(network->decoder->upconv[i][j],
+               "decoder.upconv_" + std::to_string(i) + "_" + std::to_string(j), out);
+    }
+  }
+  put_conv(network->decoder->condition, "decoder.condition", out);
+  fold_head(network->head, network->config, out);
+  for (auto& [name, tensor] : out) tensor = tensor.detach().contiguous().clone();
+  return out;
+}
+
+Status export_network(const DepthNetwork& network, const std::string& path) {
+  TensorFile file{fold_network(network), {{"lcdm", config_json(network->config)}}};
+  for (auto& [name, tensor] : file.tensors) {
+    tensor = tensor.to(torch::kFloat16).contiguous();
+    if (!torch::isfinite(tensor).all().item<bool>()) {
+      return Status::error(StatusCode::kInvalidInput, "%s does not fit into half precision",
+                           name.c_str());
+    }
+  }
+  return write_tensors(path, file);
+}
+
+}  // namespace lcdm::model

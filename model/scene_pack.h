@@ -1,0 +1,24 @@
+// The rendered scene as a pack: exact depth for training, and unseen worlds to validate on.
+#pragma once
+
+#include <cstdint>
+
+#include "model/pack.h"
+
+namespace lcdm::model {
+
+struct ScenePackOptions {
+  std::uint64_t train_seed = 1000;  // first of the training worlds' seeds
+  std::size_t train_frames = 400;   // four of each world
+  std::uint64_t validation_seed = 900000;
+  std::size_t validation_frames = 40;
+};
+
+// Frames of alternating shape (384x288, 640x192), moments and fields of view drawn by the seed. The
+// sky's depth is kSkyDepth.
+Pack render_scene_pack(const ScenePackOptions& options);
+
+// Metres: far beyond what the network can say, so that it learns "farthest".
+inline constexpr float kSkyDepth = 1000;
+
+}  // namespace lcdm::model

@@ -1,0 +1,168 @@
+// Losses against values worked out by hand.
+#include "model/losses.h"
+
+#include <cmath>
+#include <gtest/gtest.h>
+
+#include "firmware/nn/sampler.h"
+#include "model/depth_code.h"
+
+namespace lcdm::model {
+namespace {
+
+torch::Tensor image(std::vector<float> values, std::int64_t height, std::int64_t width) {
+  return torch::tensor(values).reshape({1, 1, height, width});
+}
+
+torch::Tensor no_mask(const torch::Tensor& like) { return torch::ones_like(like, torch::kBool); }
+
+ModelConfig small_config() {
+  ModelConfig config;
+  config.encoder = EncoderKind::kXxs;
+  return config;
+}
+
+TEST(MaskedMean, CountsOnlyWhatIsValid) {
+  const torch::Tensor error = image({1, 100, 3, NAN}, 2, 2);
+  const torch::Tensor mask = image({1, 0, 1, 0}, 2, 2).to(torch::kBool);
+  EXPECT_DOUBLE_EQ(masked_mean(error, mask, torch::ones({1})).item<float>(), 2);
+}
+
+TEST(MaskedMean, EveryImageCountsByItsWeightHoweverManyPixelsItHas) {
+  const torch::Tensor error = torch::cat({image({1, 1, 1, 1}, 2, 2), image({5, 9, 9, 9}, 2, 2)});
+  const torch::Tensor mask =
+      torch::cat({image({1, 1, 1, 1}, 2, 2), image({1, 0, 0, 0}, 2, 2)}).to(torch::kBool);
+  EXPECT_FLOAT_EQ(masked_mean(error, mask, torch::tensor({1.0F, 3.0F})).item<float>(),
+                  4);  // (1 + 3 * 5) / 4
+}
+
+TEST(MaskedMean, ImagesWithoutDepthCountAsNothing) {
+  const torch::Tensor error = torch::cat({image({2, 2}, 1, 2), image({7, 7}, 1, 2)});
+  const torch::Tensor mask =
+      torch::cat({image({1, 1}, 1, 2), image({0, 0}, 1, 2)}).to(torch::kBool);
+  EXPECT_FLOAT_EQ(masked_mean(error, mask, torch::ones({2})).item<float>(), 2);
+}
+
+TEST(LogDepthLoss, IsTheMeanAbsoluteRatioInLogs) {
+  const torch::Tensor estimate = image({2, 8}, 1, 2).log();
+  const torch::Tensor truth = image({1, 32}, 1, 2).log();
+  EXPECT_NEAR(log_depth_loss(estimate, truth, no_mask(truth), torch::ones({1})).item<float>(),
+              (std::log(2.0) + std::log(4.0)) / 2, 1e-6);
+}
+
+TEST(GradientLoss, IsZeroForAConstantFactor) {
+  const torch::Tensor truth = torch::rand({1, 1, 16, 16});
+  EXPECT_NEAR(gradient_loss(truth + 0.7, truth, no_mask(truth), torch::ones({1})).item<float>(), 0,
+              1e-6);
+}
+
+TEST(GradientLoss, OfARampGrowsWithTheScale) {
+  // Error 0.1 x: x differences 0.1, 0.2, 0.4, 0.8 at the four scales, y differences 0.
+  const torch::Tensor truth = torch::zeros({1, 1, 32, 32});
+  const torch::Tensor estimate =
+      (torch::arange(32) * 0.1).to(torch::kFloat32).reshape({1, 1, 1, 32}).expand({1, 1, 32, 32});
+  EXPECT_NEAR(gradient_loss(estimate, truth, no_mask(truth), torch::ones({1})).item<float>(),
+              (0.1 + 0.2 + 0.4 + 0.8) / 4, 1e-5);
+}
+
+TEST(AlignToStudent, MovesOnlyUnreliableImagesByTheMedian) {
+  const torch::Tensor target = torch::zeros({2, 1, 1, 3});
+  const torch::Tensor student = torch::cat({image({1, 2, 9}, 1, 3), image({1, 2, 9}, 1, 3)});
+  const torch::Tensor reliable = torch::tensor({1, 0}).to(torch::kBool);
+  const torch::Tensor out = align_to_student(target, student, no_mask(target), reliable);
+  EXPECT_EQ(out[0].abs().max().item<float>(), 0);
+  EXPECT_EQ((out[1] - 2).abs().max().item<float>(), 0);
+}
+
+TEST(DepthCode, RoundTrips) {
+  ModelConfig config;
+  config.variable_mean = -4;
+  config.variable_std = 1.5;
+  const torch::Tensor depth = image({0.2F, 1, 7, 60}, 1, 4);
+  const torch::Tensor back = depth_of_variable(variable_of_depth(depth, config), config);
+  EXPECT_LT(((back - depth) / depth).abs().max().item<float>(), 1e-3);
+}
+
+TEST(DepthCode, FollowsTheFormulaOfTheSpecification) {
+  const ModelConfig config;  // mean 0, deviation 1
+  // d = (1 / 2 - 0.01) / 9.99; logit(d) = log(d / (1 - d)).
+  const double d = (0.5 - 0.01) / 9.99;
+  EXPECT_NEAR(variable_of_depth(image({2}, 1, 1), config).item<float>(), std::log(d / (1 - d)),
+              1e-5);
+  EXPECT_NEAR(depth_of_variable(image({0}, 1, 1), config).item<float>(), 1 / (0.01 + 9.99 / 2),
+              1e-5);
+}
+
+TEST(DenoisingLoss, IgnoresWhatTheTargetHoldsInHoles) {
+  torch::manual_seed(3);
+  DepthNetwork network(small_config());
+  network->eval();
+  at::Generator generator = at::detail::createCPUGenerator(5);
+  const torch::Tensor condition = torch::randn({1, 16, 32, 32});
+  const torch::Tensor target = torch::randn({1, 1, 32, 32});
+  const torch::Tensor student = torch::randn({1, 1, 32, 32});
+  const torch::Tensor mask = torch::rand({1, 1, 32, 32}) > 0.9;
+  const DenoisingDraw draw = draw_denoising(network, generator, target.sizes());
+  const torch::Tensor poisoned = torch::where(mask, target, torch::full_like(target, NAN));
+  const auto loss = [&](const torch::Tensor& t) {
+    return denoising_loss(network, condition, t, student, mask, torch::ones({1}), draw)
+        .item<float>();
+  };
+  EXPECT_EQ(loss(target), loss(poisoned));
+}
+
+// v = sqrt(a) eps - sqrt(1 - a) x0: a network that answers 0 has the loss E[v^2] = 1 for x0 and eps
+// of unit variance, at every t.
+TEST(DenoisingLoss, OfAMuteNetworkIsTheVarianceOfV) {
+  torch::manual_seed(4);
+  DepthNetwork network(small_config());
+  network->eval();
+  const torch::NoGradGuard no_grad;
+  network->head->conv2->weight.zero_();
+  network->head->conv2->bias.zero_();
+  const torch::Tensor x0 = torch::randn({8, 1, 64, 64});
+  const DenoisingDraw draw{torch::tensor({0, 20, 40, 60, 80, 100, 120, 149}, torch::kLong),
+                           torch::randn({8, 1, 64, 64}), 0};
+  const float loss = denoising_loss(network, torch::zeros({8, 16, 64, 64}), x0, x0, no_mask(x0),
+                                    torch::ones({8}), draw)
+                         .item<float>();
+  EXPECT_NEAR(loss, 1, 0.03);
+}
+
+TEST(DrawDenoising, StaysWithinOneSamplerStep) {
+  DepthNetwork network(small_config());
+  at::Generator generator = at::detail::createCPUGenerator(6);
+  bool seen[2] = {};
+  for (int i = 0; i < 20; ++i) {
+    const DenoisingDraw draw = draw_denoising(network, generator, {4, 1, 2, 2});
+    seen[draw.step] = true;
+    for (std::int64_t b = 0; b < 4; ++b) {
+      EXPECT_EQ(network->step_of(draw.times[b].item<int>()), draw.step);
+    }
+  }
+  EXPECT_TRUE(seen[0] && seen[1]);
+}
+
+TEST(TrainingLosses, NinetyPercentHolesGiveNoNanAndNoBias) {
+  torch::manual_seed(7);
+  DepthNetwork network(small_config());
+  network->eval();
+  at::Generator generator = at::detail::createCPUGenerator(8);
+  const torch::Tensor rgb = torch::randn({2, 3, 64, 64});
+  Target full{torch::full({2, 1, 64, 64}, 5.0F), torch::ones({2}), torch::ones({2}),
+              torch::ones({2}, torch::kBool)};
+  Target holes = full;
+  holes.depth =
+      torch::where(torch::rand({2, 1, 64, 64}) < 0.9, torch::zeros({2, 1, 64, 64}), full.depth);
+  const Losses a = training_losses(network, rgb, full, {}, generator);
+  const Losses b = training_losses(network, rgb, holes, {}, generator);
+  b.total.backward();
+  for (const torch::Tensor& parameter : network->parameters()) {
+    if (parameter.grad().defined())
+      EXPECT_TRUE(torch::isfinite(parameter.grad()).all().item<bool>());
+  }
+  EXPECT_NEAR(b.distillation, a.distillation, 0.05 * a.distillation);
+}
+
+}  // namespace
+}  // namespace lcdm::model

@@ -1,0 +1,145 @@
+// The network's shapes, size and sampler, and what an export keeps of them.
+#include "model/network.h"
+
+#include <cmath>
+#include <filesystem>
+#include <gtest/gtest.h>
+
+#include "model/depth_code.h"
+#include "model/exporter.h"
+#include "model/folded_net.h"
+
+namespace lcdm::model {
+namespace {
+
+ModelConfig config_of(EncoderKind encoder, PresetKind preset = PresetKind::kLcdm) {
+  ModelConfig config;
+  config.encoder = encoder;
+  config.preset = preset;
+  if (preset == PresetKind::kPaper) config.steps = {75, 0};
+  return config;
+}
+
+std::int64_t parameters_of(const torch::nn::Module& module) {
+  std::int64_t count = 0;
+  for (const torch::Tensor& parameter : module.parameters()) count += parameter.numel();
+  return count;
+}
+
+double millions(EncoderKind encoder) {
+  const DepthNetwork network(config_of(encoder));
+  return static_cast<double>(parameters_of(*network->encoder) + parameters_of(*network->decoder) +
+                             parameters_of(*network->head)) /
+         1e6;
+}
+
+TEST(DepthNetwork, HasTheSizesOfTheSpecification) {
+  EXPECT_NEAR(millions(EncoderKind::kXxs), 1.73, 0.01);
+  EXPECT_NEAR(millions(EncoderKind::kXs), 2.82, 0.01);
+  EXPECT_NEAR(millions(EncoderKind::kS), 6.20, 0.01);
+}
+
+TEST(DepthNetwork, GivesFullResolutionAlsoWithOddRows) {
+  DepthNetwork network(config_of(EncoderKind::kXxs));
+  network->eval();
+  const torch::NoGradGuard no_grad;
+  const auto taps = network->encoder->forward(torch::randn({1, 3, 96, 64}));
+  EXPECT_EQ(taps[4].size(2), 3);  // odd at 1/32
+  const torch::Tensor condition = network->condition_of(torch::randn({1, 3, 96, 64}));
+  EXPECT_EQ(condition.sizes(), (std::vector<std::int64_t>{1, 16, 96, 64}));
+  EXPECT_EQ(network->sample(condition, 2).sizes(), (std::vector<std::int64_t>{1, 1, 96, 64}));
+}
+
+TEST(Patches, FoldUndoesUnfold) {
+  const torch::Tensor x = torch::randn({2, 5, 6, 8});
+  const torch::Tensor tokens = unfold_patches(x);
+  EXPECT_EQ(tokens.sizes(), (std::vector<std::int64_t>{8, 12, 5}));
+  EXPECT_TRUE(torch::equal(fold_patches(tokens, 2, 6, 8), x));
+  // Position 1 (row 0, column 1) of the first image, first patch.
+  EXPECT_TRUE(torch::equal(tokens[1][0], x[0].index({torch::indexing::Slice(), 0, 1})));
+}
+
+// MODEL.md section 3: at abar = 0 the first v step gives sqrt(.456) x0_hat + sqrt(.544) x_149 with
+// x0_hat = -v.
+TEST(Sampler, FirstStepIsTheIdentityOfZeroTerminalSnr) {
+  torch::manual_seed(1);
+  DepthNetwork network(config_of(EncoderKind::kXxs));
+  network->eval();
+  const torch::NoGradGuard no_grad;
+  const torch::Tensor condition = torch::randn({1, 16, 32, 32});
+  const torch::Tensor start = network->start(32, 32);
+  const torch::Tensor v =
+      network->head->forward(condition, start, torch::tensor({149}), 0, Statistics::kLeave);
+  const torch::Tensor once = network->sample(condition, 1);
+  EXPECT_LT((once + v).abs().max().item<float>(), 1e-6);
+
+  const torch::Tensor d1 = std::sqrt(0.456) * -v + std::sqrt(0.544) * start;
+  const torch::Tensor v2 =
+      network->head->forward(condition, d1, torch::tensor({74}), 1, Statistics::kLeave);
+  const torch::Tensor d0 = std::sqrt(0.456) * d1 - std::sqrt(0.544) * v2;
+  EXPECT_LT((network->sample(condition, 2) - d0).abs().max().item<float>(), 5e-3);
+}
+
+// MODEL.md section 3: with leading spacing the last update of `paper` moves the value by at most
+// 0.01 times the difference of two predictions: two steps are really one.
+TEST(Sampler, SecondStepOfPaperDoesNothing) {
+  torch::manual_seed(2);
+  DepthNetwork network(config_of(EncoderKind::kXxs, PresetKind::kPaper));
+  network->eval();
+  const torch::NoGradGuard no_grad;
+  const torch::Tensor condition = torch::randn({1, 16, 32, 32});
+  const torch::Tensor start = network->start(32, 32);
+  const torch::Tensor e1 =
+      network->head->forward(condition, start, torch::tensor({75}), 0, Statistics::kLeave);
+  const double a = 0.677;  // abar_75
+  const torch::Tensor x0 = (start - std::sqrt(1 - a) * e1) / std::sqrt(a);
+  const torch::Tensor d0 = network->sample(condition, 2);
+  const torch::Tensor e2_bound = 0.02 * (e1.abs().max() + 1);
+  EXPECT_LT((d0 - x0).abs().max().item<float>(), e2_bound.item<float>());
+}
+
+// Gives every BatchNorm statistics that matter.
+void shake_norms(DepthNetwork& network) {
+  const torch::NoGradGuard no_grad;
+  for (const auto& module : network->modules()) {
+    if (auto* norm = module->as<torch::nn::BatchNorm2d>()) {
+      norm->running_mean.normal_(0, 0.1);
+      norm->running_var.uniform_(0.7, 1.4);
+      norm->weight.uniform_(0.8, 1.2);
+      norm->bias.normal_(0, 0.1);
+    }
+  }
+}
+
+class Export : public testing::TestWithParam<PresetKind> {};
+
+TEST_P(Export, ComputesTheSameDepth) {
+  torch::manual_seed(11);
+  DepthNetwork network(config_of(EncoderKind::kXxs, GetParam()));
+  network->config.name = "a \"quoted\" name";
+  network->config.licence = "none";
+  network->config.card = "two\nlines";
+  shake_norms(network);
+  network->eval();
+  const std::string path =
+      (std::filesystem::path(testing::TempDir()) / "lcdm-export-test.safetensors").string();
+  ASSERT_TRUE(export_network(network, path));
+  const Result<ModelFile> file = ModelFile::load(path);
+  ASSERT_TRUE(file) << file.status().text();
+  EXPECT_EQ(file->config().name, network->config.name);
+  EXPECT_EQ(file->config().card, network->config.card);
+
+  const torch::NoGradGuard no_grad;
+  const torch::Tensor rgb = torch::randn({1, 3, 64, 96});
+  const torch::Tensor mine =
+      depth_of_variable(network->sample(network->condition_of(rgb), 2), network->config);
+  const torch::Tensor theirs = FoldedNet(*file).forward(rgb);
+  EXPECT_LT(((mine - theirs) / mine).abs().max().item<float>(), 0.02);  // half precision
+  EXPECT_LT(((mine - theirs) / mine).abs().mean().item<float>(), 0.004);
+  std::filesystem::remove(path);
+}
+
+INSTANTIATE_TEST_SUITE_P(Presets, Export, testing::Values(PresetKind::kLcdm, PresetKind::kPaper));
+
+}  // namespace
+}  // namespace lcdm::model
