@@ -11,7 +11,7 @@ set -euo pipefail
 
 run=(
   build-essential cmake ninja-build pkg-config libeigen3-dev libhwy-dev libopencv-dev
-  libturbojpeg0-dev libpng-dev liblz4-dev libzstd-dev libcivetweb-dev libcli11-dev libtoml11-dev
+  libjpeg-dev libturbojpeg0-dev libpng-dev libcivetweb-dev libcli11-dev libtoml11-dev
   nlohmann-json3-dev
 )
 test=(
@@ -33,11 +33,6 @@ for group in "$@"; do
     *) echo "install-packages: unknown group '$group': use run, test or train" >&2; exit 2 ;;
   esac
 done
-
-# Ubuntu names libturbojpeg's headers differently.
-if ! grep -q '^ID=debian' /etc/os-release; then
-  packages=("${packages[@]/libturbojpeg0-dev/libturbojpeg-dev}")
-fi
 
 installed() {
   dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null | grep -qx installed && return 0
