@@ -9,5 +9,9 @@
 namespace lcdm::model {
 
 void add_train(CLI::App& app, Status& status);
+void add_evaluate(CLI::App& app, Status& status);
+void add_export(CLI::App& app, Status& status);
+void add_golden(CLI::App& app, Status& status);
+void add_pack(CLI::App& app, Status& status);
 
 }  // namespace lcdm::model

@@ -34,13 +34,21 @@ int main(int argc, char** argv) {
   CLI::App app("Trains, evaluates and exports LCDM-Mono networks");
   app.require_subcommand(1);
   int threads = 2;
-  app.add_option("--threads", threads, "CPU threads")->check(CLI::Range(1, 256))->capture_default_str();
+  app.add_option("--threads", threads, "CPU threads")
+      ->check(CLI::Range(1, 256))
+      ->capture_default_str();
   lcdm::Status status;
+  app.set_config("--recipe", "",
+                 "File of options, those of a command under its name (model/recipes/)");
   app.parse_complete_callback([&threads] {
     at::set_num_threads(threads);
     cv::setNumThreads(1);
   });
   lcdm::model::add_train(app, status);
+  lcdm::model::add_evaluate(app, status);
+  lcdm::model::add_export(app, status);
+  lcdm::model::add_golden(app, status);
+  lcdm::model::add_pack(app, status);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -90,7 +90,8 @@ TEST(DependencyRule, AppIncludesFirmwareAndDrivers) {
 }
 
 TEST(DependencyRule, ModelIncludesFirmwareAndTheSourcesItTrainsOn) {
-  expect_only("model", {"model/", "firmware/", "drivers/scene", "drivers/replay", "drivers/codec"});
+  expect_only("model", {"model/", "firmware/", "drivers/scene", "drivers/replay", "drivers/mcap",
+                        "drivers/codec"});
 }
 
 TEST(DependencyRule, OnlyModelSeesTorch) {

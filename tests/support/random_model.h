@@ -36,6 +36,9 @@ std::vector<std::byte> make_model_image(const std::string& metadata,
 std::vector<std::byte> make_random_model(const ModelConfig& config, std::uint64_t seed,
                                          WeightType type = WeightType::kF32);
 
+// The seed of the models behind tests/fixtures/golden.
+constexpr std::uint64_t kGoldenSeed = 7;
+
 // A configuration of real shape, ready for the functions above.
 ModelConfig make_config(EncoderKind encoder, PresetKind preset);
 

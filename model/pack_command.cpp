@@ -1,0 +1,85 @@
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+
+#include "drivers/codec.h"
+#include "drivers/mcap_camera.h"
+#include "model/commands.h"
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Options {
+  std::string recording;
+  std::string output;
+  std::size_t every = 1;
+};
+
+Status write_intrinsics(const fs::path& file, const Camera& camera) {
+  const CameraModel model = camera.model();
+  char text[512];
+  const int length = std::snprintf(
+      text, sizeof(text),
+      "{\"width\": %d, \"height\": %d, \"depth_unit_m\": 0.001, \"fx\": %.6g, \"fy\": %.6g, "
+      "\"cx\": %.6g, \"cy\": %.6g, \"calibrated\": %s}\n",
+      model.width, model.height, static_cast<double>(model.fx), static_cast<double>(model.fy),
+      static_cast<double>(model.cx), static_cast<double>(model.cy),
+      model.calibrated ? "true" : "false");
+  return write_file(file.string(),
+                    std::as_bytes(std::span(text, static_cast<std::size_t>(length))));
+}
+
+// The recording's JPEGs become rgb/NNNNNN.jpg, untouched, named as `lcdm infer` names their depth.
+Status run(const Options& options) {
+  McapCamera camera(options.recording, McapCamera::Playback::kOffline);
+  LCDM_RETURN_IF_ERROR(camera.configure({}));
+  LCDM_RETURN_IF_ERROR(camera.start());
+  const fs::path rgb = fs::path(options.output) / "rgb";
+  std::error_code error;
+  fs::create_directories(rgb, error);
+  if (error) return Status::system(error.value(), "cannot make the folder %s", rgb.c_str());
+
+  std::size_t read = 0;
+  std::size_t written = 0;
+  std::size_t damaged = 0;
+  while (true) {
+    const auto frame = camera.dequeue(std::chrono::milliseconds(1000));
+    if (frame.code() == StatusCode::kEndOfStream) break;
+    if (frame.code() == StatusCode::kCorrupt) {
+      ++damaged;
+      continue;
+    }
+    if (!frame) return frame.status();
+    if (read++ % options.every == 0) {
+      const fs::path file = rgb / (camera.frame_name(frame->view.meta.sequence) + ".jpg");
+      const auto bytes = std::as_bytes(std::span(frame->view.data, frame->view.bytes));
+      LCDM_RETURN_IF_ERROR(write_file(file.string(), bytes));
+      ++written;
+    }
+    LCDM_RETURN_IF_ERROR(camera.requeue(frame->index));
+  }
+  LCDM_RETURN_IF_ERROR(write_intrinsics(fs::path(options.output) / "intrinsics.json", camera));
+  std::printf(
+      "%zu pictures in %s%s\n", written, options.output.c_str(),
+      damaged == 0 ? "" : (", " + std::to_string(damaged) + " damaged ones left out").c_str());
+  return Status::ok();
+}
+
+}  // namespace
+
+void add_pack(CLI::App& app, Status& status) {
+  auto* command = app.add_subcommand(
+      "pack", "Makes a training pack of a recording: its pictures and intrinsics");
+  auto options = std::make_shared<Options>();
+  command->add_option("--recording", options->recording, "MCAP segment, or a folder of them")
+      ->required();
+  command->add_option("--output", options->output, "Folder of the pack")->required();
+  command->add_option("--every", options->every, "Keep every n-th frame")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command->callback([options, &status] { status = run(*options); });
+}
+
+}  // namespace lcdm::model

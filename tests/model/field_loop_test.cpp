@@ -1,0 +1,74 @@
+// The field loop as its user walks it, with the real programs: record a drive, play it back as
+// teacher depth, make a pack of it, train a few steps, export, and load what came out.
+#include <filesystem>
+#include <fstream>
+#include <gtest/gtest.h>
+#include <string>
+#include <vector>
+
+#include "firmware/base/os.h"
+#include "firmware/nn/model_file.h"
+#include "tests/app/program.h"
+#include "tests/support/random_model.h"
+
+namespace lcdm {
+namespace {
+
+namespace fs = std::filesystem;
+
+class FieldLoopTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = fs::temp_directory_path() / ("lcdm_field_loop_" + std::to_string(os::monotonic_ns()));
+    fs::create_directories(folder_);
+    const auto image = test::make_random_model(
+        test::make_config(EncoderKind::kXxs, PresetKind::kLcdm), test::kGoldenSeed);
+    std::ofstream(path("model.safetensors"), std::ios::binary)
+        .write(reinterpret_cast<const char*>(image.data()),
+               static_cast<std::streamsize>(image.size()));
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  std::string path(const std::string& name) const { return (folder_ / name).string(); }
+
+  // Runs a program to its end; the test stops with what it printed when it fails.
+  static void run(const char* program, const std::vector<std::string>& arguments) {
+    test::Program child(program, arguments);
+    ASSERT_EQ(child.wait(180), 0) << child.text();
+  }
+
+  static std::size_t files_in(const fs::path& folder) {
+    return static_cast<std::size_t>(
+        std::distance(fs::directory_iterator(folder), fs::directory_iterator()));
+  }
+
+  fs::path folder_;
+};
+
+TEST_F(FieldLoopTest, ADriveIsRecordedReplayedTrainedOnAndExported) {
+  run(LCDM_PROGRAM, {"record", "--source", "scene:3", "--output", path("drive"), "--seconds", "2",
+                     "--set", "camera.width=320", "--set", "camera.height=240"});
+  ASSERT_EQ(files_in(folder_ / "drive"), 1U);
+
+  run(LCDM_TRAIN_PROGRAM, {"pack", "--recording", path("drive"), "--output", path("pack")});
+  run(LCDM_PROGRAM,
+      {"infer", "--source", "mcap:" + path("drive"), "--output", path("pack/depth"), "--model",
+       path("model.safetensors"), "--set", "model.width=128", "--set", "model.height=96"});
+  const std::size_t pictures = files_in(folder_ / "pack" / "rgb");
+  EXPECT_GE(pictures, 10U);
+  EXPECT_EQ(files_in(folder_ / "pack" / "depth"), pictures);  // one depth for every picture
+
+  run(LCDM_TRAIN_PROGRAM,
+      {"train", "--pack", path("pack"), "--scene-frames", "0", "--encoder", "xxs", "--steps", "3",
+       "--images", "2", "--full-from", "1", "--reduced", "0.3", "--output", path("training")});
+  run(LCDM_TRAIN_PROGRAM,
+      {"export", "--checkpoint", path("training/checkpoint.safetensors"), "--output",
+       path("tuned.safetensors"), "--name", "field loop", "--card", "three steps of a test"});
+  run(LCDM_PROGRAM, {"inspect", "model", path("tuned.safetensors")});
+  const auto tuned = ModelFile::load(path("tuned.safetensors"));
+  ASSERT_TRUE(tuned) << tuned.status().text();
+  EXPECT_EQ(tuned->config().name, "field loop");
+}
+
+}  // namespace
+}  // namespace lcdm
