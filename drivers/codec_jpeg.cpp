@@ -216,7 +216,8 @@ void JpegEncoder::State::split_band(int first_row) {
     const auto k = static_cast<std::size_t>(row);
     JSAMPLE* luma = rows[0][k];
     for (int pair = 0; pair < pairs; ++pair) {
-      const std::uint8_t* in = line + 4 * std::min(pair, format.width / 2 - 1);
+      const std::uint8_t* in =
+          line + static_cast<std::ptrdiff_t>(4) * std::min(pair, format.width / 2 - 1);
       *luma++ = kFull.luma[in[0]];
       *luma++ = kFull.luma[in[2]];
       rows[1][k][pair] = kFull.chroma[in[1]];

@@ -165,7 +165,7 @@ void fill_room(std::uint64_t seed, double seconds, Snapshot& out) {
   out.ground_dark = floor * 0.62F;
   out.sun = {0, -1.76F, 0};
   out.sun_colour = {0.98F, 0.9F, 0.76F};
-  out.sky_colour = {0.44F, 0.45F, 0.47F};
+  out.sky_colour = {0.52F, 0.52F, 0.53F};
   out.haze_colour = {0.8F, 0.8F, 0.8F};
   out.haze = 0;
   add_shell(shell, out);

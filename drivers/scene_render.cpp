@@ -197,7 +197,7 @@ void Picture::aim_at_tile(int x, int y) {
   for (int row = 0; row < kTile; ++row) {
     const Vec3 first = ray(static_cast<float>(x), static_cast<float>(y + row));
     for (int column = 0; column < kTile; ++column) {
-      const auto k = static_cast<std::size_t>(row * kTile + column);
+      const auto k = static_cast<std::size_t>(ray_index(column, row));
       const auto along = static_cast<float>(column);
       rays_.dx[k] = first.x + step.x * along;
       rays_.dy[k] = first.y + step.y * along;
@@ -236,7 +236,7 @@ void Picture::render_tile(int x, int y) {
   shader_.shade(rays_, colours_);
   for (int row = 0; row < height; ++row) {
     for (int column = 0; column < width; ++column) {
-      const auto k = static_cast<std::size_t>(row * kTile + column);
+      const auto k = static_cast<std::size_t>(ray_index(column, row));
       put(x + column, y + row, colours_[k]);
       if (depth_.empty()) continue;
       const std::ptrdiff_t pixel =
@@ -254,16 +254,16 @@ int Picture::find_edges(int width, int height) {
   if (std::none_of(hits.begin(), hits.end(), other)) return 0;
 
   // With the margin around it every pixel has four neighbours at fixed steps.
-  constexpr int kWide = kTile + 2;
+  constexpr std::size_t kWide = kTile + 2;
   std::array<std::int32_t, kWide * kWide> grid;
   const auto at = [](int column, int row) {
-    return static_cast<std::size_t>((row + 1) * kWide + column + 1);
+    return static_cast<std::size_t>(row + 1) * kWide + static_cast<std::size_t>(column + 1);
   };
   const auto copy = [&](int column, int row) {
     grid[at(column, row)] = hits[static_cast<std::size_t>(ray_index(column, row))];
   };
   for (int i = 0; i < kTile; ++i) {
-    std::copy_n(hits.begin() + i * kTile, kTile, grid.begin() + (i + 1) * kWide + 1);
+    for (int column = 0; column < kTile; ++column) copy(column, i);
     copy(-1, i);
     copy(kTile, i);
     copy(i, -1);

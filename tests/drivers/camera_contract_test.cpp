@@ -191,7 +191,7 @@ TEST_P(CameraContract, FramesRiseInSequenceAndTime) {
     if (view.format.pixel == PixelFormat::kMjpeg) {
       EXPECT_GT(view.bytes, 0U);
     } else {
-      EXPECT_GE(view.bytes, static_cast<std::size_t>(view.format.stride) * 47 + 64 * 2);
+      EXPECT_GE(view.bytes, static_cast<std::size_t>(view.format.stride) * 47 + 128);
     }
     last = view.meta.sensor_ns;
     ASSERT_TRUE(camera_->requeue(frame->index));

@@ -251,7 +251,7 @@ TEST(JpegDecoder, HostileBytesNeverCrashAndItStaysUsable) {
   std::mt19937 random(11);
   JpegDecoder decoder;
   ASSERT_TRUE(decoder.prepare(64, 48));
-  std::vector<std::uint8_t> rgb(64 * 48 * 3);
+  std::vector<std::uint8_t> rgb(9216);
   for (int i = 0; i < 4000; ++i) {
     std::vector<std::uint8_t> hostile = jpeg;
     const int changes = 1 + static_cast<int>(random() % 6);
@@ -361,7 +361,7 @@ TEST(RgbPng, OpenCvReadsTheSameColours) {
 
 TEST(FloatTiff, OpenCvReadsEveryBit) {
   const TemporaryFolder folder;
-  std::vector<float> values(37 * 11);
+  std::vector<float> values(407);
   for (std::size_t i = 0; i < values.size(); ++i) values[i] = std::sqrt(static_cast<float>(i));
   values[5] = INFINITY;
   for (const std::vector<ImageText>& texts :

@@ -170,7 +170,7 @@ TEST(ReplayImage, OneImageIsASourceOfOneFrame) {
 // ---- video --------------------------------------------------------------------------------------
 
 std::string write_video(const TemporaryFolder& folder, int frames, double rate) {
-  const std::string path = folder.file("clip.avi");
+  std::string path = folder.file("clip.avi");
   cv::VideoWriter writer(path, cv::VideoWriter::fourcc('M', 'J', 'P', 'G'), rate, {64, 48});
   for (int i = 0; i < frames; ++i) {
     writer.write(cv::Mat(48, 64, CV_8UC3, cv::Scalar::all(20 * i)));

@@ -261,6 +261,7 @@ TEST(SceneSeeds, TheSameSeedAndTimeGiveTheSameBytesOnEveryThread) {
   const auto reference = take(5, 12.5);
   std::vector<std::unique_ptr<Picture>> others(4);
   std::vector<std::thread> threads;
+  threads.reserve(others.size());
   for (auto& other : others) threads.emplace_back([&other] { other = take(5, 12.5); });
   for (std::thread& thread : threads) thread.join();
   for (const auto& other : others) {
