@@ -58,7 +58,8 @@ const Pack& draw_pack(const std::vector<Pack>& packs, bool wide, SampleRandom& r
 }  // namespace
 
 SampleRandom::SampleRandom(std::uint64_t seed, std::uint64_t step, std::uint64_t sample)
-    : state_(seed * 0x9E3779B97F4A7C15U + step * 0xD1B54A32D192ED03U + sample * 0x8CB92BA72F3D8DD7U) {
+    : state_(seed * 0x9E3779B97F4A7C15U + step * 0xD1B54A32D192ED03U +
+             sample * 0x8CB92BA72F3D8DD7U) {
   next();
 }
 

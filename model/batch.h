@@ -48,9 +48,9 @@ class SampleRandom {
 torch::Tensor normalised(const cv::Mat& rgb);
 
 struct AugmentedSample {
-  cv::Mat rgb;            // CV_32FC3 in [0, 1]
-  cv::Mat depth;          // CV_32FC1, canonical, 0 = unknown
-  CameraModel camera;     // of the crop at its new size, flipped
+  cv::Mat rgb;         // CV_32FC3 in [0, 1]
+  cv::Mat depth;       // CV_32FC1, canonical, 0 = unknown
+  CameraModel camera;  // of the crop at its new size, flipped
 };
 // Random crop (60 to 100 % of the largest of about the shape's aspect), flip, colour jitter.
 AugmentedSample augment(const PackFrame& frame, const BatchShape& shape, SampleRandom& random);

@@ -19,20 +19,20 @@ std::string array(const T& values) {
 
 std::string config_json(const ModelConfig& config) {
   std::string sizes = "[";
-  for (const auto& size : config.trained_sizes) sizes += (sizes.size() > 1 ? ", " : "") + array(size);
+  for (const auto& size : config.trained_sizes)
+    sizes += (sizes.size() > 1 ? ", " : "") + array(size);
   sizes += "]";
   std::ostringstream out;
   out << std::setprecision(17);
   out << R"({"version": 1, "encoder": ")" << to_string(config.encoder) << R"(", "preset": ")"
       << to_string(config.preset) << R"(", "decoder_widths": )" << array(config.decoder_widths)
-      << R"(, "condition_channels": )" << config.condition_channels
-      << R"(, "sampler": {"steps": )" << array(config.steps) << R"(, "start": ")"
-      << to_string(config.start) << R"(", "seed": )" << config.seed << R"(, "variable_mean": )"
-      << config.variable_mean << R"(, "variable_std": )" << config.variable_std
-      << R"(}, "scale": {"kind": ")" << to_string(config.scale) << R"(", "canonical_focal": )"
-      << config.canonical_focal << R"(}, "trained_sizes": )" << sizes << R"(, "licence": )"
-      << json_quoted(config.licence) << R"(, "name": )" << json_quoted(config.name)
-      << R"(, "card": )" << json_quoted(config.card) << "}";
+      << R"(, "condition_channels": )" << config.condition_channels << R"(, "sampler": {"steps": )"
+      << array(config.steps) << R"(, "start": ")" << to_string(config.start) << R"(", "seed": )"
+      << config.seed << R"(, "variable_mean": )" << config.variable_mean << R"(, "variable_std": )"
+      << config.variable_std << R"(}, "scale": {"kind": ")" << to_string(config.scale)
+      << R"(", "canonical_focal": )" << config.canonical_focal << R"(}, "trained_sizes": )" << sizes
+      << R"(, "licence": )" << json_quoted(config.licence) << R"(, "name": )"
+      << json_quoted(config.name) << R"(, "card": )" << json_quoted(config.card) << "}";
   return out.str();
 }
 

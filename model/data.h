@@ -13,7 +13,7 @@ namespace lcdm::model {
 struct DataOptions {
   std::string root = "../shared/data";
   std::vector<std::string> packs;  // folders to train on instead of those in `root`
-  std::size_t every = 1;  // n-th frame of each pack
+  std::size_t every = 1;           // n-th frame of each pack
   std::size_t scene_frames = 400;
 };
 

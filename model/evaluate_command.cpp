@@ -44,13 +44,14 @@ void write_pictures(const fs::path& folder, const Pack& pack,
     const PackFrame& frame = pack.frames[frames[i]];
     const cv::Mat estimate = candidate.estimator(frame);
     if (estimate.empty()) continue;
-    cv::imwrite((folder / (pack.use.name + "-" + frame.name + "-" + candidate.name + ".png")).string(),
-                comparison_picture(frame, estimate));
+    cv::imwrite(
+        (folder / (pack.use.name + "-" + frame.name + "-" + candidate.name + ".png")).string(),
+        comparison_picture(frame, estimate));
   }
 }
 
-void evaluate_pack(const Options& options, const Pack& pack,
-                   const std::vector<std::size_t>& frames, std::vector<Candidate> candidates) {
+void evaluate_pack(const Options& options, const Pack& pack, const std::vector<std::size_t>& frames,
+                   std::vector<Candidate> candidates) {
   if (frames.empty()) return;
   // Against the teacher's own maps there is nothing to learn about the teacher.
   if (pack.use.teacher == PackUse::Teacher::kSensor) {
@@ -68,8 +69,9 @@ void evaluate_pack(const Options& options, const Pack& pack,
 }
 
 Status evaluate_all(const Options& options, const std::vector<Candidate>& candidates) {
-  std::printf("| pack | estimate | images | AbsRel | SqRel | RMSE | RMSElog | d1 | d2 | d3 |\n"
-              "|---|---|---|---|---|---|---|---|---|---|\n");
+  std::printf(
+      "| pack | estimate | images | AbsRel | SqRel | RMSE | RMSElog | d1 | d2 | d3 |\n"
+      "|---|---|---|---|---|---|---|---|---|---|\n");
   if (!options.test) {
     const Result<std::vector<Pack>> packs = load_training_data(options.data);
     if (!packs) return packs.status();
@@ -129,7 +131,7 @@ void add_evaluate(CLI::App& app, Status& status) {
   command->add_option("--model", options->model, "Exported model file")->check(CLI::ExistingFile);
   command->add_option("--estimates", options->estimates, "Folder of NAME.tiff or NAME.png depth")
       ->check(CLI::ExistingDirectory);
-  command->add_option("--pack", options->pack, "Only this pack");
+  command->add_option("--only", options->pack, "Only the pack of this name");
   command->add_flag("--test", options->test, "The test packs instead of the validation parts");
   command->add_option("--pictures", options->pictures,
                       "Folder for pictures: frame, truth, first estimate");

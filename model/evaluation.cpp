@@ -57,8 +57,9 @@ cv::Mat colour_of(const cv::Mat& depth) {
 }  // namespace
 
 cv::Size deployed_size(cv::Size picture) {
-  const auto distance = [&picture](const int (&size)[2]) {
-    return std::fabs(std::log(static_cast<double>(size[0]) / size[1] * picture.height / picture.width));
+  const auto distance = [&picture](const int(&size)[2]) {
+    return std::fabs(
+        std::log(static_cast<double>(size[0]) / size[1] * picture.height / picture.width));
   };
   const int(&best)[2] =
       distance(kDeployed[0]) < distance(kDeployed[1]) ? kDeployed[0] : kDeployed[1];

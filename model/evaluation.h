@@ -40,7 +40,8 @@ PackResult evaluate(const Pack& pack, const std::vector<std::size_t>& frames,
 // How a pack is measured.
 Protocol protocol_of(const std::string& pack);
 
-// A colour picture: the frame, its depth where known, and the estimate side by side (inverse depth).
+// A colour picture: the frame, its depth where known, and the estimate side by side (inverse
+// depth).
 cv::Mat comparison_picture(const PackFrame& frame, const cv::Mat& estimate);
 
 }  // namespace lcdm::model

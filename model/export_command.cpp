@@ -15,7 +15,8 @@ struct Options {
   std::string name;
   std::string card;
   std::string licence =
-      "LicenseRef-research-non-commercial (KITTI CC-BY-NC-SA-3.0; 7-Scenes and CamVid research only)";
+      "LicenseRef-research-non-commercial (KITTI CC-BY-NC-SA-3.0; 7-Scenes and CamVid research "
+      "only)";
 };
 
 Status run(const Options& options) {

@@ -46,13 +46,13 @@ torch::Tensor gradient_loss(const torch::Tensor& log_depth, const torch::Tensor&
   for (int scale = 0; scale < kScales; ++scale) {
     const Slice every(torch::indexing::None, torch::indexing::None, 1 << scale);
     const torch::Tensor m = mask.index({Slice(), Slice(), every, every});
-    const torch::Tensor difference = (log_depth - log_target).index({Slice(), Slice(), every, every});
+    const torch::Tensor difference =
+        (log_depth - log_target).index({Slice(), Slice(), every, every});
     const torch::Tensor error =
         torch::where(m, difference, torch::zeros_like(difference));  // no NaN from holes
     for (const int axis : {2, 3}) {
       const std::int64_t n = error.size(axis) - 1;
-      const torch::Tensor both =
-          torch::logical_and(m.narrow(axis, 1, n), m.narrow(axis, 0, n));
+      const torch::Tensor both = torch::logical_and(m.narrow(axis, 1, n), m.narrow(axis, 0, n));
       const torch::Tensor step = error.narrow(axis, 1, n) - error.narrow(axis, 0, n);
       total = total + masked_mean(step.abs(), both, weight);
     }
@@ -94,8 +94,7 @@ torch::Tensor denoising_loss(DepthNetwork& network, const torch::Tensor& conditi
                              const torch::Tensor& mask, const torch::Tensor& weight,
                              const DenoisingDraw& draw) {
   const PresetKind preset = network->config.preset;
-  const torch::Tensor a =
-      abar_table(preset).index_select(0, draw.times).reshape({-1, 1, 1, 1});
+  const torch::Tensor a = abar_table(preset).index_select(0, draw.times).reshape({-1, 1, 1, 1});
   const torch::Tensor signal = a.sqrt();
   const torch::Tensor spread = (1 - a).sqrt();
   const torch::Tensor x0 = torch::where(mask, target, student.detach());
@@ -111,17 +110,16 @@ Losses training_losses(DepthNetwork& network, const torch::Tensor& rgb, const Ta
                        const LossWeights& weights, at::Generator& generator) {
   const ModelConfig& config = network->config;
   const torch::Tensor condition = network->condition_of(rgb);
-  const torch::Tensor student =
-      network->sample(condition, static_cast<int>(config.steps.size()));
+  const torch::Tensor student = network->sample(condition, static_cast<int>(config.steps.size()));
   const torch::Tensor log_depth = log_depth_of_variable(student, config);
   const torch::Tensor direct = log_depth_of_variable(network->sample(condition, 0), config);
 
   const torch::Tensor mask = target.depth > 0;
-  const torch::Tensor log_target = align_to_student(
-      torch::where(mask, target.depth, torch::ones_like(target.depth))
-          .clamp(kMinDepth, kMaxDepth)
-          .log(),
-      log_depth, mask, target.reliable);
+  const torch::Tensor log_target =
+      align_to_student(torch::where(mask, target.depth, torch::ones_like(target.depth))
+                           .clamp(kMinDepth, kMaxDepth)
+                           .log(),
+                       log_depth, mask, target.reliable);
   const torch::Tensor target_variable = variable_of_depth(log_target.exp(), config);
 
   const auto distillation = [&](const torch::Tensor& estimate) {

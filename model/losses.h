@@ -1,5 +1,5 @@
-// What training minimises. Tensors are [B, 1, H, W]; masks are bool of the same shape; every loss is
-// a scalar with gradients to its first argument.
+// What training minimises. Tensors are [B, 1, H, W]; masks are bool of the same shape; every loss
+// is a scalar with gradients to its first argument.
 #pragma once
 
 #include "firmware/nn/network_config.h"

@@ -22,9 +22,9 @@ double median_of(std::vector<float> values) {
   return (static_cast<double>(*middle) + *std::max_element(values.begin(), middle)) / 2;
 }
 
-constexpr double Metrics::* kMembers[] = {
-    &Metrics::abs_rel, &Metrics::sq_rel, &Metrics::rmse,  &Metrics::rmse_log,
-    &Metrics::delta1,  &Metrics::delta2, &Metrics::delta3};
+constexpr double Metrics::*kMembers[] = {&Metrics::abs_rel,  &Metrics::sq_rel, &Metrics::rmse,
+                                         &Metrics::rmse_log, &Metrics::delta1, &Metrics::delta2,
+                                         &Metrics::delta3};
 
 Metrics compare(const std::vector<float>& estimate, const std::vector<float>& truth) {
   Metrics m;

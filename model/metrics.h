@@ -9,12 +9,12 @@ namespace lcdm::model {
 
 struct Metrics {
   double abs_rel = 0;
-  double sq_rel = 0;    // metres
-  double rmse = 0;      // metres
+  double sq_rel = 0;  // metres
+  double rmse = 0;    // metres
   double rmse_log = 0;
-  double delta1 = 0;    // share of pixels with max(p/g, g/p) < 1.25
-  double delta2 = 0;    // 1.25^2
-  double delta3 = 0;    // 1.25^3
+  double delta1 = 0;  // share of pixels with max(p/g, g/p) < 1.25
+  double delta2 = 0;  // 1.25^2
+  double delta3 = 0;  // 1.25^3
 };
 
 struct Protocol {

@@ -53,6 +53,17 @@ nn::Conv2d conv3x3(int in, int out, bool reflect = false) {
   return nn::Conv2d(options);
 }
 
+// Keeps the variance through ELU: with LibTorch's own start the ten convolutions of the decoder, which
+// have no norm, would let almost nothing of the coarse features through.
+nn::Conv2d keep_variance(nn::Conv2d conv) {
+  const torch::NoGradGuard no_grad;
+  constexpr double kGain = 1.25;
+  const auto fan_in = static_cast<double>(conv->weight.numel() / conv->weight.size(0));
+  conv->weight.normal_(0, kGain / std::sqrt(fan_in));
+  conv->bias.zero_();
+  return conv;
+}
+
 torch::Tensor resize_bilinear(const torch::Tensor& x, std::int64_t height, std::int64_t width) {
   return F::interpolate(x, F::InterpolateFuncOptions()
                                .size(std::vector<std::int64_t>{height, width})
@@ -221,12 +232,13 @@ DecoderImpl::DecoderImpl(const ModelConfig& config, const std::array<int, 5>& ta
   for (std::size_t i = 5; i-- > 0;) {
     const int width = config.decoder_widths[i];
     const std::string name = "upconv_" + std::to_string(i);
-    upconv[i][0] = register_module(name + "_0", conv3x3(in, width, reflect));
+    upconv[i][0] = register_module(name + "_0", keep_variance(conv3x3(in, width, reflect)));
     const int skip = i > 0 ? taps[i - 1] : 0;
-    upconv[i][1] = register_module(name + "_1", conv3x3(width + skip, width, reflect));
+    upconv[i][1] = register_module(name + "_1", keep_variance(conv3x3(width + skip, width, reflect)));
     in = width;
   }
-  condition = register_module("condition", conv3x3(in, config.condition_channels, reflect));
+  condition = register_module("condition",
+                              keep_variance(conv3x3(in, config.condition_channels, reflect)));
 }
 
 torch::Tensor DecoderImpl::forward(const std::array<torch::Tensor, 5>& taps) {

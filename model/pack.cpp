@@ -56,7 +56,8 @@ Result<Intrinsics> read_intrinsics(const fs::path& folder) {
                          json.status().text());
   }
   Intrinsics out{*json};
-  if (const JsonValue* unit = json->find("depth_unit_m")) out.depth_unit = unit->number().value_or(0);
+  if (const JsonValue* unit = json->find("depth_unit_m"))
+    out.depth_unit = unit->number().value_or(0);
   if (out.depth_unit <= 0) {
     return Status::error(StatusCode::kCorrupt, "%s/intrinsics.json: depth_unit_m is not positive",
                          folder.c_str());
@@ -75,8 +76,8 @@ CameraModel camera_of(const Intrinsics& intrinsics, const std::string& frame, cv
     const JsonValue* v = source->find(key);
     return v != nullptr ? static_cast<float>(v->number().value_or(0)) : 0.0F;
   };
-  CameraModel camera{size.width, size.height, value("fx"), value("fy"),
-                     value("cx"), value("cy"),    true};
+  CameraModel camera{size.width,  size.height, value("fx"), value("fy"),
+                     value("cx"), value("cy"), true};
   if (camera.fx > 0) return camera;
   return CameraModel::from_field_of_view(size.width, size.height, field_of_view);
 }
@@ -114,8 +115,8 @@ Result<cv::Mat> read_depth(const fs::path& path, double unit) {
 Result<cv::Mat> load_depth(const fs::path& folder, const std::string& frame, const PackUse& use,
                            double unit, cv::Size full, cv::Size size) {
   const fs::path maps = folder / (use.teacher == Teacher::kSensor ? "depth" : "teacher_meter");
-  const Result<cv::Mat> map = read_depth(maps / (frame + ".png"),
-                                         use.teacher == Teacher::kSensor ? unit : kMeterUnit);
+  const Result<cv::Mat> map =
+      read_depth(maps / (frame + ".png"), use.teacher == Teacher::kSensor ? unit : kMeterUnit);
   if (!map) return map.status();
   cv::Mat depth;
   if (use.teacher == Teacher::kSensor) {
@@ -148,8 +149,8 @@ Result<PackFrame> load_frame(const fs::path& folder, const fs::path& picture, co
     frame.rgb = reduced;
     frame.camera = frame.camera.resized(size.width, size.height);
   }
-  Result<cv::Mat> depth = load_depth(folder, frame.name, use, intrinsics.depth_unit, bgr.size(),
-                                     frame.rgb.size());
+  Result<cv::Mat> depth =
+      load_depth(folder, frame.name, use, intrinsics.depth_unit, bgr.size(), frame.rgb.size());
   if (!depth) return depth.status();
   frame.depth = *depth;
   return frame;
@@ -188,15 +189,15 @@ Split split_frames(const std::vector<std::string>& names) {
   }
   Split split;
   for (const auto& [name, frames] : sequences) {
-    const auto tail = static_cast<std::size_t>(
-        std::ceil(static_cast<double>(frames.size()) * kValidationShare));
+    const auto tail =
+        static_cast<std::size_t>(std::ceil(static_cast<double>(frames.size()) * kValidationShare));
     const bool too_short = frames.size() < tail + kGap + kLeastTraining;
     const std::size_t train = too_short ? frames.size() : frames.size() - tail - kGap;
     split.train.insert(split.train.end(), frames.begin(),
                        frames.begin() + static_cast<std::ptrdiff_t>(train));
     if (too_short) continue;
-    split.validation.insert(split.validation.end(), frames.end() - static_cast<std::ptrdiff_t>(tail),
-                            frames.end());
+    split.validation.insert(split.validation.end(),
+                            frames.end() - static_cast<std::ptrdiff_t>(tail), frames.end());
   }
   return split;
 }
@@ -205,7 +206,8 @@ Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, 
   const fs::path folder = root / use.name;
   const std::vector<fs::path> pictures = files_of(folder / "rgb", ".jpg");
   if (pictures.empty()) {
-    return Status::error(StatusCode::kNotFound, "%s/rgb holds no .jpg: give the data's folder with --data",
+    return Status::error(StatusCode::kNotFound,
+                         "%s/rgb holds no .jpg: give the data's folder with --data",
                          folder.c_str());
   }
   const Result<Intrinsics> intrinsics = read_intrinsics(folder);

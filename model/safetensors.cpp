@@ -135,8 +135,10 @@ Status write_tensors(const std::string& path, const TensorFile& file) {
   if (!write_all(partial, file) || std::rename(partial.c_str(), path.c_str()) != 0) {
     const int error = errno;
     std::remove(partial.c_str());
-    return Status::system(error, "%s could not be written; free space or choose another folder, the "
-                          "file that was there is unharmed", path.c_str());
+    return Status::system(error,
+                          "%s could not be written; free space or choose another folder, the "
+                          "file that was there is unharmed",
+                          path.c_str());
   }
   return Status::ok();
 }
@@ -148,7 +150,8 @@ Result<TensorFile> read_tensors(const std::string& path) {
   std::uint64_t length = 0;
   if (all.size() < sizeof(length)) return corrupt(path, "shorter than its header");
   std::copy_n(all.data(), sizeof(length), reinterpret_cast<char*>(&length));
-  if (length > kMaxHeader || length > all.size() - sizeof(length)) return corrupt(path, "header length");
+  if (length > kMaxHeader || length > all.size() - sizeof(length))
+    return corrupt(path, "header length");
 
   const std::string_view view(all);
   const Result<JsonValue> header =

@@ -1,9 +1,8 @@
-#include <unistd.h>
-
 #include <chrono>
 #include <csignal>
 #include <cstdio>
 #include <filesystem>
+#include <unistd.h>
 
 #include "model/commands.h"
 #include "model/data.h"
@@ -34,7 +33,8 @@ class Progress {
     const bool fresh = !fs::exists(curve);
     curve_ = std::fopen(curve.c_str(), "a");
     if (curve_ != nullptr && fresh) {
-      std::fprintf(curve_, "step,images,seconds,learning_rate,distillation,denoising,gradient,direct\n");
+      std::fprintf(curve_,
+                   "step,images,seconds,learning_rate,distillation,denoising,gradient,direct\n");
     }
   }
   ~Progress() {
@@ -62,10 +62,12 @@ class Progress {
     const double per_step = seconds / static_cast<double>(trainer.step() - first_);
     const double left = per_step * static_cast<double>(total_ - trainer.step());
     const double n = static_cast<double>(count_);
-    std::printf("%s%lld/%lld  %.2f s/step  %.0f min left  distil %.4f  denoise %.4f  gradient %.4f  direct %.4f%s",
-                terminal_ ? "\r" : "", static_cast<long long>(trainer.step()),
-                static_cast<long long>(total_), per_step, left / 60, sums_[0] / n, sums_[1] / n,
-                sums_[2] / n, sums_[3] / n, terminal_ ? "  " : "\n");
+    std::printf(
+        "%s%lld/%lld  %.2f s/step  %.0f min left  distil %.4f  denoise %.4f  gradient %.4f  direct "
+        "%.4f%s",
+        terminal_ ? "\r" : "", static_cast<long long>(trainer.step()),
+        static_cast<long long>(total_), per_step, left / 60, sums_[0] / n, sums_[1] / n,
+        sums_[2] / n, sums_[3] / n, terminal_ ? "  " : "\n");
     std::fflush(stdout);
     if (curve_ == nullptr) return;
     std::fprintf(curve_, "%lld,%lld,%.1f,%.3g,%.5f,%.5f,%.5f,%.5f\n",
@@ -114,28 +116,67 @@ void add_train(CLI::App& app, Status& status) {
   auto options = std::make_shared<Options>();
   Recipe& recipe = options->recipe;
   add_data_options(*command, options->data);
-  command->add_option("--output", options->output, "Folder of the checkpoint and curve.csv")->capture_default_str();
+  command->add_option("--output", options->output, "Folder of the checkpoint and curve.csv")
+      ->capture_default_str();
   command->add_flag("--resume", options->resume, "Go on from the folder's checkpoint");
-  command->add_option("--save-every", options->save_every, "Steps between checkpoints")->check(CLI::PositiveNumber)->capture_default_str();
-  const std::map<std::string, EncoderKind> encoders = {{"xxs", EncoderKind::kXxs}, {"xs", EncoderKind::kXs}, {"s", EncoderKind::kS}};
-  const std::map<std::string, PresetKind> presets = {{"lcdm", PresetKind::kLcdm}, {"paper", PresetKind::kPaper}};
-  command->add_option("--encoder", recipe.encoder, "xxs, xs or s")->transform(CLI::CheckedTransformer(encoders));
-  command->add_option("--preset", recipe.preset, "lcdm or paper")->transform(CLI::CheckedTransformer(presets));
-  command->add_option("--seed", recipe.seed, "Of weights, batches and noise")->capture_default_str();
-  command->add_option("--steps", recipe.steps, "Optimiser steps in all")->check(CLI::PositiveNumber)->capture_default_str();
-  command->add_option("--reduced", recipe.reduced, "Share of the deployed size at first")->check(CLI::Range(0.2, 1.0))->capture_default_str();
-  command->add_option("--full-from", recipe.full_from, "Share of the steps after which pictures have the deployed size")->check(CLI::Range(0.0, 1.0))->capture_default_str();
-  command->add_option("--freeze-from", recipe.freeze_from, "Share of the steps after which batch-norm statistics are frozen")->check(CLI::Range(0.0, 1.0))->capture_default_str();
-  command->add_option("--images", recipe.images, "Pictures in a batch at the reduced size")->check(CLI::PositiveNumber)->capture_default_str();
-  command->add_option("--full-images", recipe.full_images, "And at the deployed size")->check(CLI::PositiveNumber)->capture_default_str();
-  command->add_option("--learning-rate", recipe.learning_rate, "At its highest")->check(CLI::PositiveNumber)->capture_default_str();
-  command->add_option("--final-rate", recipe.final_rate, "At the end of the cosine")->capture_default_str();
-  command->add_option("--warm-up", recipe.warm_up, "Steps to the highest rate")->check(CLI::PositiveNumber)->capture_default_str();
+  command->add_option("--save-every", options->save_every, "Steps between checkpoints")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  const std::map<std::string, EncoderKind> encoders = {
+      {"xxs", EncoderKind::kXxs}, {"xs", EncoderKind::kXs}, {"s", EncoderKind::kS}};
+  const std::map<std::string, PresetKind> presets = {{"lcdm", PresetKind::kLcdm},
+                                                     {"paper", PresetKind::kPaper}};
+  const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
+                                                   {"zeros", StartKind::kZeros}};
+  command->add_option("--start", recipe.start, "Where the sampler starts: noise or zeros")
+      ->transform(CLI::CheckedTransformer(starts));
+  command->add_option("--encoder", recipe.encoder, "xxs, xs or s")
+      ->transform(CLI::CheckedTransformer(encoders));
+  command->add_option("--preset", recipe.preset, "lcdm or paper")
+      ->transform(CLI::CheckedTransformer(presets));
+  command->add_option("--seed", recipe.seed, "Of weights, batches and noise")
+      ->capture_default_str();
+  command->add_option("--steps", recipe.steps, "Optimiser steps in all")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command->add_option("--reduced", recipe.reduced, "Share of the deployed size at first")
+      ->check(CLI::Range(0.2, 1.0))
+      ->capture_default_str();
+  command
+      ->add_option("--full-from", recipe.full_from,
+                   "Share of the steps after which pictures have the deployed size")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  command
+      ->add_option("--freeze-from", recipe.freeze_from,
+                   "Share of the steps after which batch-norm statistics are frozen")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  command->add_option("--images", recipe.images, "Pictures in a batch at the reduced size")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command->add_option("--full-images", recipe.full_images, "And at the deployed size")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command->add_option("--learning-rate", recipe.learning_rate, "At its highest")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command->add_option("--final-rate", recipe.final_rate, "At the end of the cosine")
+      ->capture_default_str();
+  command->add_option("--warm-up", recipe.warm_up, "Steps to the highest rate")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
   command->add_option("--weight-decay", recipe.weight_decay, "Of AdamW")->capture_default_str();
-  command->add_option("--clip", recipe.clip, "Largest norm of the gradient")->check(CLI::PositiveNumber)->capture_default_str();
-  command->add_option("--average", recipe.average, "Of the moving average of the weights")->check(CLI::Range(0.0, 1.0))->capture_default_str();
-  command->add_option("--gradient", recipe.losses.gradient, "Weight of the gradient loss")->capture_default_str();
-  command->add_option("--denoising", recipe.losses.denoising, "Weight of the denoising loss")->capture_default_str();
+  command->add_option("--clip", recipe.clip, "Largest norm of the gradient")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command->add_option("--average", recipe.average, "Of the moving average of the weights")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  command->add_option("--gradient", recipe.losses.gradient, "Weight of the gradient loss")
+      ->capture_default_str();
+  command->add_option("--denoising", recipe.losses.denoising, "Weight of the denoising loss")
+      ->capture_default_str();
   command->callback([options, &status] { status = run(*options); });
 }
 

@@ -9,22 +9,25 @@
 namespace lcdm::model {
 namespace {
 
-constexpr float kCanonicalFocal = 320;  // pixels, at the deployed sizes
+constexpr float kCanonicalFocal = 320;             // pixels, at the deployed sizes
 constexpr std::uint64_t kLossStream = 0x4C4F5353;  // keeps the losses' noise apart from the batches
 
 ModelConfig make_model_config(const Recipe& recipe) {
   ModelConfig config;
   config.encoder = recipe.encoder;
   config.preset = recipe.preset;
-  config.steps = recipe.preset == PresetKind::kLcdm ? std::vector<int>{149, 74}
-                                                    : std::vector<int>{75, 0};
+  config.start = recipe.start;
+  config.steps =
+      recipe.preset == PresetKind::kLcdm ? std::vector<int>{149, 74} : std::vector<int>{75, 0};
   config.seed = 1;
   config.canonical_focal = kCanonicalFocal;
   config.trained_sizes = {{kDeployed[0][0], kDeployed[0][1]}, {kDeployed[1][0], kDeployed[1][1]}};
   return config;
 }
 
-int multiple_of_32(double size) { return std::max(64, static_cast<int>(std::lround(size / 32)) * 32); }
+int multiple_of_32(double size) {
+  return std::max(64, static_cast<int>(std::lround(size / 32)) * 32);
+}
 
 std::vector<BatchShape> make_shapes(double share, int images) {
   std::vector<BatchShape> shapes;
@@ -32,7 +35,8 @@ std::vector<BatchShape> make_shapes(double share, int images) {
     BatchShape shape;
     shape.width = multiple_of_32(width * share);
     shape.height = multiple_of_32(height * share);
-    shape.canonical_focal = kCanonicalFocal * static_cast<float>(shape.width) / static_cast<float>(width);
+    shape.canonical_focal =
+        kCanonicalFocal * static_cast<float>(shape.width) / static_cast<float>(width);
     shape.images = images;
     shape.wide = width > 2 * height;
     shapes.push_back(shape);
@@ -101,23 +105,27 @@ Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs)
 }
 
 std::vector<BatchShape> Trainer::shapes() const {
-  const bool full = static_cast<double>(step_) >= recipe_.full_from * static_cast<double>(recipe_.steps);
+  const bool full =
+      static_cast<double>(step_) >= recipe_.full_from * static_cast<double>(recipe_.steps);
   return full ? make_shapes(1, recipe_.full_images) : make_shapes(recipe_.reduced, recipe_.images);
 }
 
 double Trainer::learning_rate() const {
   if (step_ < recipe_.warm_up) {
-    return recipe_.learning_rate * static_cast<double>(step_ + 1) / static_cast<double>(recipe_.warm_up);
+    return recipe_.learning_rate * static_cast<double>(step_ + 1) /
+           static_cast<double>(recipe_.warm_up);
   }
-  const double progress = static_cast<double>(step_ - recipe_.warm_up) /
-                          static_cast<double>(std::max<std::int64_t>(1, recipe_.steps - recipe_.warm_up));
+  const double progress =
+      static_cast<double>(step_ - recipe_.warm_up) /
+      static_cast<double>(std::max<std::int64_t>(1, recipe_.steps - recipe_.warm_up));
   return recipe_.final_rate + (recipe_.learning_rate - recipe_.final_rate) * 0.5 *
                                   (1 + std::cos(M_PI * std::min(1.0, progress)));
 }
 
 void Trainer::set_modes() {
   network_->train();
-  const bool frozen = static_cast<double>(step_) >= recipe_.freeze_from * static_cast<double>(recipe_.steps);
+  const bool frozen =
+      static_cast<double>(step_) >= recipe_.freeze_from * static_cast<double>(recipe_.steps);
   if (!frozen) return;
   for (const auto& module : network_->modules()) {
     if (auto* norm = module->as<torch::nn::BatchNorm2d>()) norm->eval();
@@ -126,7 +134,8 @@ void Trainer::set_modes() {
 
 void Trainer::update_average() {
   const torch::NoGradGuard no_grad;
-  const double keep = std::min(recipe_.average, (1.0 + static_cast<double>(step_)) / (10.0 + static_cast<double>(step_)));
+  const double keep = std::min(
+      recipe_.average, (1.0 + static_cast<double>(step_)) / (10.0 + static_cast<double>(step_)));
   std::map<std::string, torch::Tensor> from;
   std::map<std::string, torch::Tensor> to;
   collect(network_, "", from);
@@ -145,7 +154,8 @@ Result<Losses> Trainer::advance() {
   const bool full = wanted[0].width == kDeployed[0][0];
   if (loader_ == nullptr || full != full_size_) {
     loader_.reset();
-    loader_ = std::make_unique<BatchLoader>(packs_, wanted, recipe_.seed, static_cast<std::uint64_t>(step_));
+    loader_ = std::make_unique<BatchLoader>(packs_, wanted, recipe_.seed,
+                                            static_cast<std::uint64_t>(step_));
     full_size_ = full;
   }
   const Batch batch = loader_->next();
@@ -156,15 +166,17 @@ Result<Losses> Trainer::advance() {
   const Losses losses =
       training_losses(network_, batch.rgb, batch.target, recipe_.losses, generator);
   if (!std::isfinite(losses.total.item<double>())) {
-    return Status::error(StatusCode::kCorrupt,
-                         "step %lld: the loss is not finite (distillation %g, denoising %g, gradient "
-                         "%g, direct %g); lower the learning rate or look at the batch's depth",
-                         static_cast<long long>(step_), losses.distillation, losses.denoising,
-                         losses.gradient, losses.direct);
+    return Status::error(
+        StatusCode::kCorrupt,
+        "step %lld: the loss is not finite (distillation %g, denoising %g, gradient "
+        "%g, direct %g); lower the learning rate or look at the batch's depth",
+        static_cast<long long>(step_), losses.distillation, losses.denoising, losses.gradient,
+        losses.direct);
   }
   losses.total.backward();
   if (const double norm = optimizer_->clip(recipe_.clip); !std::isfinite(norm)) {
-    return Status::error(StatusCode::kCorrupt, "step %lld: a gradient is not finite; lower the learning rate",
+    return Status::error(StatusCode::kCorrupt,
+                         "step %lld: a gradient is not finite; lower the learning rate",
                          static_cast<long long>(step_));
   }
   optimizer_->step(learning_rate());
@@ -191,7 +203,8 @@ Status Trainer::resume(const std::string& path) {
   const auto step = tensors.find("trainer.step");
   const auto text = file->metadata.find("lcdm");
   if (step == tensors.end() || text == file->metadata.end()) {
-    return Status::error(StatusCode::kInvalidInput, "%s is not a training checkpoint", path.c_str());
+    return Status::error(StatusCode::kInvalidInput, "%s is not a training checkpoint",
+                         path.c_str());
   }
   const Result<ModelConfig> config = parse_model_config(text->second);
   if (!config) return config.status();
@@ -214,7 +227,8 @@ Result<DepthNetwork> load_checkpoint(const std::string& path) {
   if (!file) return file.status();
   const auto text = file->metadata.find("lcdm");
   if (text == file->metadata.end()) {
-    return Status::error(StatusCode::kInvalidInput, "%s is not a training checkpoint", path.c_str());
+    return Status::error(StatusCode::kInvalidInput, "%s is not a training checkpoint",
+                         path.c_str());
   }
   const Result<ModelConfig> config = parse_model_config(text->second);
   if (!config) return config.status();

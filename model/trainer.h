@@ -18,6 +18,7 @@ namespace lcdm::model {
 struct Recipe {
   EncoderKind encoder = EncoderKind::kXs;
   PresetKind preset = PresetKind::kLcdm;
+  StartKind start = StartKind::kNoise;
   std::uint64_t seed = 1;
   std::int64_t steps = 1000;
   double reduced = 0.5;      // first part trains at this share of the deployed size

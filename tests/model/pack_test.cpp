@@ -1,0 +1,156 @@
+// Splits, packs on disk, augmentation and batches.
+#include "model/pack.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <gtest/gtest.h>
+#include <opencv2/imgcodecs.hpp>
+
+#include "model/batch.h"
+#include "model/scene_pack.h"
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::vector<std::string> numbered(const std::string& prefix, std::size_t count) {
+  std::vector<std::string> names;
+  for (std::size_t i = 0; i < count; ++i) names.push_back(prefix + std::to_string(1000 + i));
+  return names;
+}
+
+TEST(Split, ValidatesOnTheLastTenthBehindAGap) {
+  const Split split = split_frames(numbered("", 100));
+  ASSERT_EQ(split.train.size(), 70U);
+  ASSERT_EQ(split.validation.size(), 10U);
+  EXPECT_EQ(split.train.back(), 69U);
+  EXPECT_EQ(split.validation.front(), 90U);
+}
+
+TEST(Split, TreatsEverySequenceByItself) {
+  std::vector<std::string> names = numbered("a_", 50);
+  const std::vector<std::string> second = numbered("b_", 50);
+  names.insert(names.end(), second.begin(), second.end());
+  const Split split = split_frames(names);
+  EXPECT_EQ(split.train.size(), 50U);
+  EXPECT_EQ(split.validation, (std::vector<std::size_t>{45, 46, 47, 48, 49, 95, 96, 97, 98, 99}));
+}
+
+TEST(Split, PartsAreDisjointAndShortSequencesOnlyTrain) {
+  for (const std::size_t count : {1U, 33U, 34U, 57U, 400U}) {
+    const Split split = split_frames(numbered("", count));
+    for (const std::size_t index : split.train) {
+      EXPECT_EQ(std::count(split.validation.begin(), split.validation.end(), index), 0);
+    }
+    EXPECT_EQ(split.validation.empty(), count < 34);
+    EXPECT_FALSE(split.train.empty());
+  }
+}
+
+// A pack of one 64x48 frame: left half 2 m, right half unknown; fx 100.
+class SmallPack : public testing::Test {
+ protected:
+  void SetUp() override {
+    root_ = fs::path(testing::TempDir()) / "lcdm-small-pack";
+    fs::create_directories(root_ / "pack" / "rgb");
+    fs::create_directories(root_ / "pack" / "depth");
+    cv::imwrite((root_ / "pack" / "rgb" / "000000.jpg").string(),
+                cv::Mat(48, 64, CV_8UC3, cv::Scalar(10, 100, 200)));
+    cv::Mat depth = cv::Mat::zeros(48, 64, CV_16U);
+    depth.colRange(0, 32).setTo(2000);
+    cv::imwrite((root_ / "pack" / "depth" / "000000.png").string(), depth);
+    write_intrinsics(R"({"fx": 100, "fy": 100, "cx": 32, "cy": 24, "depth_unit_m": 0.001})");
+  }
+  void TearDown() override { fs::remove_all(root_); }
+  void write_intrinsics(const std::string& text) {
+    std::ofstream(root_ / "pack" / "intrinsics.json") << text;
+  }
+
+  fs::path root_;
+  PackUse use_{"pack", PackUse::Teacher::kSensor, 0, 1, 1, 1};
+};
+
+TEST_F(SmallPack, IsReadInMetres) {
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_TRUE(pack) << pack.status().text();
+  EXPECT_FLOAT_EQ(pack->frames[0].depth.at<float>(10, 10), 2);
+  EXPECT_FLOAT_EQ(pack->frames[0].depth.at<float>(10, 50), 0);
+  EXPECT_FLOAT_EQ(pack->frames[0].camera.fx, 100);
+  EXPECT_NEAR(pack->frames[0].rgb.at<cv::Vec3b>(20, 20)[0], 200, 4);  // red first
+}
+
+TEST_F(SmallPack, IsReducedWithItsIntrinsics) {
+  const Result<Pack> pack = load_pack(root_, use_, 32);
+  ASSERT_TRUE(pack);
+  EXPECT_EQ(pack->frames[0].rgb.size(), cv::Size(32, 24));
+  EXPECT_FLOAT_EQ(pack->frames[0].camera.fx, 50);
+}
+
+TEST_F(SmallPack, BadFilesAreNamed) {
+  write_intrinsics("{");
+  EXPECT_EQ(load_pack(root_, use_, 640).code(), StatusCode::kCorrupt);
+  write_intrinsics(R"({"fx": 100, "depth_unit_m": -1})");
+  EXPECT_EQ(load_pack(root_, use_, 640).code(), StatusCode::kCorrupt);
+  fs::remove_all(root_ / "pack" / "rgb");
+  EXPECT_EQ(load_pack(root_, use_, 640).code(), StatusCode::kNotFound);
+}
+
+TEST_F(SmallPack, CropKeepsDepthAtTheCanonicalFocalLength) {
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_TRUE(pack);
+  BatchShape shape{96, 64, 80, 1, false};
+  for (std::uint64_t seed = 0; seed < 8; ++seed) {
+    SampleRandom random(seed, 0, 0);
+    const AugmentedSample sample = augment(pack->frames[0], shape, random);
+    double most = 0;
+    cv::minMaxLoc(sample.depth, nullptr, &most);
+    if (most > 0) EXPECT_NEAR(most, 2 * 80 / sample.camera.fx, 1e-4);
+    EXPECT_GE(sample.camera.fx, 99.0F * 96 / 64);  // a crop only ever enlarges
+    double low = 0;
+    double high = 0;
+    cv::minMaxLoc(sample.rgb.reshape(1), &low, &high);
+    EXPECT_GE(low, 0);
+    EXPECT_LE(high, 1);
+  }
+}
+
+TEST_F(SmallPack, BatchIsAFunctionOfSeedAndStep) {
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_TRUE(pack);
+  const std::vector<Pack> packs = {*pack};
+  const BatchShape shape{96, 64, 80, 2, false};
+  const Batch a = make_batch(packs, shape, 1, 5);
+  EXPECT_TRUE(torch::equal(a.rgb, make_batch(packs, shape, 1, 5).rgb));
+  EXPECT_FALSE(torch::equal(a.rgb, make_batch(packs, shape, 1, 6).rgb));
+  EXPECT_FALSE(torch::equal(a.rgb, make_batch(packs, shape, 2, 5).rgb));
+  BatchLoader loader(packs, {shape}, 1, 4);
+  loader.next();
+  EXPECT_TRUE(torch::equal(a.rgb, loader.next().rgb));
+}
+
+TEST(ScenePack, ValidatesOnUnseenWorlds) {
+  ScenePackOptions options;
+  options.train_frames = 6;
+  options.validation_frames = 2;
+  const Pack pack = render_scene_pack(options);
+  ASSERT_EQ(pack.frames.size(), 8U);
+  for (const std::size_t index : pack.validation) {
+    EXPECT_EQ(std::count(pack.train.begin(), pack.train.end(), index), 0);
+  }
+  double least = 0;
+  cv::minMaxLoc(pack.frames[0].depth, &least, nullptr);
+  EXPECT_GT(least, 0);  // no holes: the sky is far
+}
+
+TEST(InverseResize, KeepsHoles) {
+  cv::Mat depth = (cv::Mat_<float>(1, 2) << 2, 0);
+  const cv::Mat out = resize_inverse(depth, {4, 1});
+  EXPECT_FLOAT_EQ(out.at<float>(0, 0), 2);
+  EXPECT_FLOAT_EQ(out.at<float>(0, 3), 0);
+}
+
+}  // namespace
+}  // namespace lcdm::model

@@ -1,0 +1,158 @@
+// The training loop: it learns, stops and goes on, and never loses a checkpoint.
+#include "model/trainer.h"
+
+#include <filesystem>
+#include <fstream>
+#include <gtest/gtest.h>
+
+#include "model/depth_code.h"
+#include "model/evaluation.h"
+#include "model/safetensors.h"
+#include "model/scene_pack.h"
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+
+const std::vector<Pack>& scene_packs() {
+  static const std::vector<Pack> packs = [] {
+    ScenePackOptions options;
+    options.train_frames = 24;
+    options.validation_frames = 8;
+    return std::vector<Pack>{render_scene_pack(options)};
+  }();
+  return packs;
+}
+
+Recipe small_recipe() {
+  Recipe recipe;
+  recipe.encoder = EncoderKind::kXxs;
+  recipe.steps = 6;
+  recipe.images = 2;
+  recipe.reduced = 0.25;
+  recipe.full_from = 1;
+  recipe.warm_up = 2;
+  return recipe;
+}
+
+std::string scratch(const std::string& name) {
+  return (fs::path(testing::TempDir()) / name).string();
+}
+
+bool same_weights(Trainer& a, Trainer& b) {
+  std::map<std::string, torch::Tensor> left;
+  std::map<std::string, torch::Tensor> right;
+  collect(a.averaged(), "", left);
+  collect(b.averaged(), "", right);
+  for (const auto& [name, tensor] : left) {
+    if (!torch::equal(tensor, right[name])) return false;
+  }
+  return true;
+}
+
+TEST(Trainer, ResumesBitExactly) {
+  at::set_num_threads(1);
+  const std::string path = scratch("lcdm-resume.safetensors");
+  Trainer straight(small_recipe(), scene_packs());
+  for (int i = 0; i < 3; ++i) ASSERT_TRUE(straight.advance());
+  ASSERT_TRUE(straight.save(path));
+  for (int i = 0; i < 3; ++i) ASSERT_TRUE(straight.advance());
+
+  Trainer resumed(small_recipe(), scene_packs());
+  const Status status = resumed.resume(path);
+  ASSERT_TRUE(status) << status.text();
+  EXPECT_EQ(resumed.step(), 3);
+  for (int i = 0; i < 3; ++i) ASSERT_TRUE(resumed.advance());
+  EXPECT_TRUE(resumed.done());
+  EXPECT_TRUE(same_weights(straight, resumed));
+  fs::remove(path);
+}
+
+TEST(Trainer, RefusesACheckpointOfAnotherNetwork) {
+  const std::string path = scratch("lcdm-other.safetensors");
+  Recipe recipe = small_recipe();
+  const Trainer xxs(recipe, scene_packs());
+  ASSERT_TRUE(xxs.save(path));
+  recipe.encoder = EncoderKind::kXs;
+  Trainer xs(recipe, scene_packs());
+  EXPECT_EQ(xs.resume(path).code(), StatusCode::kInvalidInput);
+  fs::remove(path);
+}
+
+TEST(Trainer, SaysWhyItStopsOnNan) {
+  Pack poisoned = scene_packs()[0];
+  for (PackFrame& frame : poisoned.frames)
+    frame.depth = cv::Mat(frame.depth.size(), CV_32F, cv::Scalar(5));
+  const std::vector<Pack> packs = {poisoned};
+  Recipe recipe = small_recipe();
+  recipe.learning_rate = 1e30;
+  recipe.warm_up = 1;
+  Trainer trainer(recipe, packs);
+  Status last;
+  for (int i = 0; i < 6 && last; ++i) {
+    const Result<Losses> losses = trainer.advance();
+    if (!losses) last = losses.status();
+  }
+  ASSERT_FALSE(last);
+  EXPECT_NE(std::string(last.text()).find("not finite"), std::string::npos) << last.text();
+}
+
+TEST(Checkpoint, FullDiskLeavesTheOldOne) {
+  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
+  const std::string folder = scratch("lcdm-full-disk");
+  fs::create_directories(folder);
+  const std::string path = folder + "/checkpoint.safetensors";
+  std::ofstream(path) << "old";
+  fs::remove(path + ".partial");
+  fs::create_symlink("/dev/full", path + ".partial");
+  const Status status = write_tensors(path, {{{"a", torch::zeros({1000})}}, {}});
+  EXPECT_EQ(status.code(), StatusCode::kIoError);
+  std::string text;
+  std::ifstream(path) >> text;
+  EXPECT_EQ(text, "old");
+  fs::remove_all(folder);
+}
+
+TEST(Checkpoint, TruncatedFilesAreRefused) {
+  const std::string path = scratch("lcdm-truncated.safetensors");
+  ASSERT_TRUE(write_tensors(path, {{{"a", torch::zeros({1000})}}, {{"key", "a \"value\""}}}));
+  const Result<TensorFile> whole = read_tensors(path);
+  ASSERT_TRUE(whole);
+  EXPECT_EQ(whole->metadata.at("key"), "a \"value\"");
+  for (const std::uintmax_t size : {0U, 7U, 20U, 500U, 4000U}) {
+    fs::resize_file(path, size);
+    EXPECT_EQ(read_tensors(path).code(), StatusCode::kCorrupt) << size;
+    ASSERT_TRUE(write_tensors(path, {{{"a", torch::zeros({1000})}}, {}}));
+  }
+  fs::remove(path);
+}
+
+// A minute of training on a few rendered frames beats a constant depth on them clearly.
+TEST(Trainer, FitsAFewFrames) {
+  at::set_num_threads(2);
+  Recipe recipe = small_recipe();
+  recipe.steps = 120;
+  recipe.images = 4;
+  recipe.warm_up = 10;
+  recipe.average = 0.9;
+  recipe.freeze_from = 0.5;
+  Trainer trainer(recipe, scene_packs());
+  double first = 0;
+  double last = 0;
+  for (int i = 0; i < recipe.steps; ++i) {
+    const Result<Losses> losses = trainer.advance();
+    ASSERT_TRUE(losses) << losses.status().text();
+    if (i < 10) first += losses->distillation / 10;
+    if (i >= recipe.steps - 10) last += losses->distillation / 10;
+  }
+  EXPECT_LT(last, 0.5 * first);
+  const Pack& pack = scene_packs()[0];
+  const PackResult constant = evaluate(pack, pack.train, Protocol::scene(), constant_estimator());
+  const PackResult trained =
+      evaluate(pack, pack.train, Protocol::scene(), network_estimator(trainer.averaged(), 2));
+  EXPECT_LT(trained.mean.abs_rel, 0.8 * constant.mean.abs_rel);
+}
+
+}  // namespace
+}  // namespace lcdm::model
