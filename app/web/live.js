@@ -72,6 +72,13 @@ export class MessageReader {
   }
 }
 
+// What a person reads when the stream ended: browsers' own words for it help nobody.
+function lostText(error) {
+  if (error.name === "AbortError") return "Nothing came for 5 s. Trying again.";
+  if (error instanceof TypeError) return "The camera does not answer. Trying again.";
+  return error.message;
+}
+
 // Keeps the stream alive: onMessage(message) for frames and signs of life, onLost(text) when the
 // connection is gone; tries again by itself, for ever.
 export class LiveStream {
@@ -84,8 +91,7 @@ export class LiveStream {
       try {
         await this.#connect();
       } catch (error) {
-        this.onLost(error.message === "Failed to fetch"
-          ? "The camera does not answer. Trying again." : error.message);
+        this.onLost(lostText(error));
       }
       const delay = retryDelays[Math.min(this.failures++, retryDelays.length - 1)];
       await new Promise((resolve) => setTimeout(resolve, delay));
