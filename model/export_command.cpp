@@ -1,5 +1,5 @@
 #include <cstdio>
-#include <filesystem>
+#include <optional>
 
 #include "firmware/nn/model_file.h"
 #include "model/commands.h"
@@ -14,6 +14,7 @@ struct Options {
   std::string output;
   std::string name;
   std::string card;
+  std::optional<StartKind> start;
   std::string licence =
       "LicenseRef-research-non-commercial (KITTI CC-BY-NC-SA-3.0; 7-Scenes and CamVid research "
       "only)";
@@ -26,6 +27,7 @@ Status run(const Options& options) {
   config.name = options.name;
   config.licence = options.licence;
   config.card = options.card;
+  config.start = options.start.value_or(config.start);
   LCDM_RETURN_IF_ERROR(export_network(*network, options.output));
   const Result<ModelFile> check = ModelFile::load(options.output);
   if (!check) return check.status();
@@ -47,6 +49,13 @@ void add_export(CLI::App& app, Status& status) {
   command->add_option("--card", options->card, "One paragraph: data, steps, metrics")->required();
   command->add_option("--licence", options->licence, "That follows from the data")
       ->capture_default_str();
+  const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
+                                                   {"zeros", StartKind::kZeros}};
+  command
+      ->add_option_function<StartKind>(
+          "--start", [options](const StartKind& start) { options->start = start; },
+          "The sampler's start, where another than the training's does better on validation")
+      ->transform(CLI::CheckedTransformer(starts));
   command->callback([options, &status] { status = run(*options); });
 }
 
