@@ -107,7 +107,9 @@ TEST_F(SmallPack, CropKeepsDepthAtTheCanonicalFocalLength) {
     const AugmentedSample sample = augment(pack->frames[0], shape, random);
     double most = 0;
     cv::minMaxLoc(sample.depth, nullptr, &most);
-    if (most > 0) EXPECT_NEAR(most, 2 * 80 / sample.camera.fx, 1e-4);
+    if (most > 0) {
+      EXPECT_NEAR(most, 2 * 80 / sample.camera.fx, 1e-4);
+    }
     EXPECT_GE(sample.camera.fx, 99.0F * 96 / 64);  // a crop only ever enlarges
     double low = 0;
     double high = 0;
