@@ -20,6 +20,7 @@ struct Options {
   std::string pack;
   std::string pictures;
   bool test = false;
+  double share = 1;
 };
 
 struct Candidate {
@@ -101,11 +102,12 @@ Status run(const Options& options) {
     network = *loaded;
     const int steps = static_cast<int>(network->config.steps.size());
     for (int n = steps; n >= 0; --n) {
-      candidates.push_back({std::to_string(n) + "-step", network_estimator(network, n)});
+      candidates.push_back(
+          {std::to_string(n) + "-step", network_estimator(network, n, options.share)});
     }
   }
   if (!options.model.empty()) {
-    const Result<Estimator> estimator = file_estimator(options.model);
+    const Result<Estimator> estimator = file_estimator(options.model, options.share);
     if (!estimator) return estimator.status();
     candidates.push_back({fs::path(options.model).stem().string(), *estimator});
   }
@@ -132,6 +134,9 @@ void add_evaluate(CLI::App& app, Status& status) {
   command->add_option("--estimates", options->estimates, "Folder of NAME.tiff or NAME.png depth")
       ->check(CLI::ExistingDirectory);
   command->add_option("--only", options->pack, "Only the pack of this name");
+  command->add_option("--share", options->share, "Input size as a share of the deployed one")
+      ->check(CLI::Range(0.2, 2.0))
+      ->capture_default_str();
   command->add_flag("--test", options->test, "The test packs instead of the validation parts");
   command->add_option("--pictures", options->pictures,
                       "Folder for pictures: frame, truth, first estimate");

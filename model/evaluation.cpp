@@ -17,8 +17,8 @@ namespace {
 namespace fs = std::filesystem;
 
 // The frame as the network's input, [1, 3, h, w].
-torch::Tensor input_of(const PackFrame& frame) {
-  const cv::Size size = deployed_size(frame.rgb.size());
+torch::Tensor input_of(const PackFrame& frame, double share) {
+  const cv::Size size = deployed_size(frame.rgb.size(), share);
   cv::Mat resized;
   cv::resize(frame.rgb, resized, size, 0, 0,
              frame.rgb.cols > size.width ? cv::INTER_AREA : cv::INTER_LINEAR);
@@ -56,34 +56,37 @@ cv::Mat colour_of(const cv::Mat& depth) {
 
 }  // namespace
 
-cv::Size deployed_size(cv::Size picture) {
+cv::Size deployed_size(cv::Size picture, double share) {
   const auto distance = [&picture](const int(&size)[2]) {
     return std::fabs(
         std::log(static_cast<double>(size[0]) / size[1] * picture.height / picture.width));
   };
   const int(&best)[2] =
       distance(kDeployed[0]) < distance(kDeployed[1]) ? kDeployed[0] : kDeployed[1];
-  return {best[0], best[1]};
+  const auto scaled = [share](int side) {
+    return std::max(64, static_cast<int>(std::lround(side * share / 32)) * 32);
+  };
+  return {scaled(best[0]), scaled(best[1])};
 }
 
-Estimator network_estimator(DepthNetwork& network, int steps) {
-  return [&network, steps](const PackFrame& frame) {
+Estimator network_estimator(DepthNetwork& network, int steps, double share) {
+  return [&network, steps, share](const PackFrame& frame) {
     const torch::NoGradGuard no_grad;
-    const torch::Tensor condition = network->condition_of(input_of(frame));
+    const torch::Tensor condition = network->condition_of(input_of(frame, share));
     return to_mat(depth_of_variable(network->sample(condition, steps), network->config));
   };
 }
 
-Result<Estimator> file_estimator(const std::string& path) {
+Result<Estimator> file_estimator(const std::string& path, double share) {
   const Result<ModelFile> file = ModelFile::load(path);
   if (!file) return file.status();
   const Result<Network> layers = Network::build(file->config(), kDeployed[0][0], kDeployed[0][1]);
   if (!layers) return layers.status();
   LCDM_RETURN_IF_ERROR(layers->check_weights(*file));
   auto net = std::make_shared<FoldedNet>(*file);
-  return Estimator([net](const PackFrame& frame) {
+  return Estimator([net, share](const PackFrame& frame) {
     const torch::NoGradGuard no_grad;
-    return to_mat(net->forward(input_of(frame).contiguous()));
+    return to_mat(net->forward(input_of(frame, share).contiguous()));
   });
 }
 

@@ -17,9 +17,10 @@ using Estimator = std::function<cv::Mat(const PackFrame&)>;
 
 // The network at 0, 1 or more sampling steps, fed as the device feeds it: the whole frame at the
 // deployed size nearest in shape. The network must be in evaluation mode and outlive the estimator.
-Estimator network_estimator(DepthNetwork& network, int steps);
+// `share` of that size, rounded to multiples of 32, where it is not 1.
+Estimator network_estimator(DepthNetwork& network, int steps, double share = 1);
 // An exported file, with its own sampler. kInvalidInput where it cannot be used.
-Result<Estimator> file_estimator(const std::string& path);
+Result<Estimator> file_estimator(const std::string& path, double share = 1);
 // The teacher's stored maps of the frame's pack: root/pack/teacher_meter.
 Estimator teacher_estimator(const PackUse& use, const std::string& root);
 // NAME.tiff (float metres) or NAME.png (16 bit, millimetres) of a folder.
@@ -27,7 +28,7 @@ Estimator folder_estimator(const std::string& folder);
 Estimator constant_estimator();
 
 // The network's deployed input size for a picture of this size.
-cv::Size deployed_size(cv::Size picture);
+cv::Size deployed_size(cv::Size picture, double share = 1);
 
 struct PackResult {
   Metrics mean;
