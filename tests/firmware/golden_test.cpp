@@ -78,8 +78,8 @@ INSTANTIATE_TEST_SUITE_P(
     ::testing::Values(Fixture{"xxs-lcdm-96x64", EncoderKind::kXxs, PresetKind::kLcdm, 96, 64},
                       Fixture{"xs-lcdm-96x64", EncoderKind::kXs, PresetKind::kLcdm, 96, 64},
                       Fixture{"xxs-paper-64x96", EncoderKind::kXxs, PresetKind::kPaper, 64, 96}),
-    [](const auto& info) {
-      return std::string(to_string(info.param.encoder)) + "_" + to_string(info.param.preset);
+    [](const auto& fixture) {
+      return std::string(to_string(fixture.param.encoder)) + "_" + to_string(fixture.param.preset);
     });
 
 }  // namespace
