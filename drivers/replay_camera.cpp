@@ -76,8 +76,9 @@ class ReplayCamera::Reader {
   Status rewind() {
     next_ = 0;
     if (!is_video()) return Status::ok();
+    // By name: asked for any back end, OpenCV would also start GStreamer and look for cameras.
     bool opened = false;
-    without_throwing([&] { opened = video_.open(path_); });
+    without_throwing([&] { opened = video_.open(path_, cv::CAP_FFMPEG); });
     if (opened) return Status::ok();
     return Status::error(StatusCode::kUnsupported,
                          "file:%s: not a video that OpenCV can read, nor an image by its name",

@@ -63,7 +63,8 @@ std::unique_ptr<Camera> make_image(World& world) {
 
 std::unique_ptr<Camera> make_video(World& world) {
   const std::string path = world.folder.file("clip.avi");
-  cv::VideoWriter writer(path, cv::VideoWriter::fourcc('M', 'J', 'P', 'G'), 30, {64, 48});
+  cv::VideoWriter writer(path, cv::CAP_FFMPEG, cv::VideoWriter::fourcc('M', 'J', 'P', 'G'), 30,
+                         {64, 48});
   for (int i = 0; i < 5; ++i) writer.write(numbered(i));
   writer.release();
   return std::make_unique<ReplayCamera>(path, ReplayCamera::Playback::kLive);

@@ -171,7 +171,8 @@ TEST(ReplayImage, OneImageIsASourceOfOneFrame) {
 
 std::string write_video(const TemporaryFolder& folder, int frames, double rate) {
   std::string path = folder.file("clip.avi");
-  cv::VideoWriter writer(path, cv::VideoWriter::fourcc('M', 'J', 'P', 'G'), rate, {64, 48});
+  cv::VideoWriter writer(path, cv::CAP_FFMPEG, cv::VideoWriter::fourcc('M', 'J', 'P', 'G'), rate,
+                         {64, 48});
   for (int i = 0; i < frames; ++i) {
     writer.write(cv::Mat(48, 64, CV_8UC3, cv::Scalar::all(20 * i)));
   }
