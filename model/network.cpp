@@ -53,8 +53,8 @@ nn::Conv2d conv3x3(int in, int out, bool reflect = false) {
   return nn::Conv2d(options);
 }
 
-// Keeps the variance through ELU: with LibTorch's own start the ten convolutions of the decoder, which
-// have no norm, would let almost nothing of the coarse features through.
+// Keeps the variance through ELU: with LibTorch's own start the ten convolutions of the decoder,
+// which have no norm, would let almost nothing of the coarse features through.
 nn::Conv2d keep_variance(nn::Conv2d conv) {
   const torch::NoGradGuard no_grad;
   constexpr double kGain = 1.25;
@@ -234,11 +234,12 @@ DecoderImpl::DecoderImpl(const ModelConfig& config, const std::array<int, 5>& ta
     const std::string name = "upconv_" + std::to_string(i);
     upconv[i][0] = register_module(name + "_0", keep_variance(conv3x3(in, width, reflect)));
     const int skip = i > 0 ? taps[i - 1] : 0;
-    upconv[i][1] = register_module(name + "_1", keep_variance(conv3x3(width + skip, width, reflect)));
+    upconv[i][1] =
+        register_module(name + "_1", keep_variance(conv3x3(width + skip, width, reflect)));
     in = width;
   }
-  condition = register_module("condition",
-                              keep_variance(conv3x3(in, config.condition_channels, reflect)));
+  condition =
+      register_module("condition", keep_variance(conv3x3(in, config.condition_channels, reflect)));
 }
 
 torch::Tensor DecoderImpl::forward(const std::array<torch::Tensor, 5>& taps) {

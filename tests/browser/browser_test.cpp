@@ -30,8 +30,8 @@ TEST(Browser, ThePageShowsWhatTheCameraSees) {
   std::ofstream(model, std::ios::binary)
       .write(reinterpret_cast<const char*>(bytes.data()),
              static_cast<std::streamsize>(bytes.size()));
-  test::Program page(node, {"tests/browser/page.mjs", LCDM_PROGRAM, model.string(),
-                            folder.string(), (folder / "page.png").string()});
+  test::Program page(node, {"tests/browser/page.mjs", LCDM_PROGRAM, model.string(), folder.string(),
+                            (folder / "page.png").string()});
   EXPECT_EQ(page.wait(240), 0) << page.text();
 }
 
