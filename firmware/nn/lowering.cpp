@@ -143,7 +143,8 @@ class Lowering {
                  kernels::PackedMatrix& out) {
     const std::vector<float> weight = load(weight_parameter);
     const auto at = [&](int k, int n) {
-      return weight[static_cast<std::size_t>((n * channels + k % channels) * 9 + k / channels)];
+      const int filter = n * channels + k % channels;
+      return weight[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(k / channels)];
     };
     return pack(9 * channels, layer_.output.channels, at, load(bias_parameter), out);
   }

@@ -139,7 +139,8 @@ void Preprocess::run_rows(const FrameView& frame, int worker, int begin, int end
     std::fill(blended.begin(), blended.end(), 0.0F);
     const int first = rows_.first[static_cast<std::size_t>(y)];
     for (int t = 0; t < rows_.taps; ++t) {
-      const float weight = rows_.weights[static_cast<std::size_t>(y * rows_.taps + t)];
+      const int tap = y * rows_.taps + t;
+      const float weight = rows_.weights[static_cast<std::size_t>(tap)];
       if (weight == 0.0F) continue;
       const std::uint8_t* bytes = frame.data + static_cast<std::size_t>(first + t) *
                                                    static_cast<std::size_t>(format_.stride);

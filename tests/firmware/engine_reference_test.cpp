@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <gtest/gtest.h>
-#include <tuple>
+#include <limits>
 
 #include "firmware/nn/engine.h"
 #include "firmware/nn/noise.h"
@@ -26,10 +26,12 @@ double relative_difference(std::span<const float> engine, const test::Planes& re
   for (int y = 0; y < reference.height; ++y) {
     for (int x = 0; x < reference.width; ++x) {
       for (int c = 0; c < reference.channels; ++c) {
-        const auto i = static_cast<std::size_t>((y * reference.width + x) * reference.channels + c);
+        const int i = (y * reference.width + x) * reference.channels + c;
         const double expected = reference.at(c, y, x);
+        const auto actual = static_cast<double>(engine[static_cast<std::size_t>(i)]);
+        if (!std::isfinite(actual)) return std::numeric_limits<double>::infinity();
         largest = std::max(largest, std::fabs(expected));
-        difference = std::max(difference, std::fabs(static_cast<double>(engine[i]) - expected));
+        difference = std::max(difference, std::fabs(actual - expected));
       }
     }
   }

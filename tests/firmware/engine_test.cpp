@@ -42,7 +42,8 @@ struct Bench {
   }
   Status run(Engine& engine) {
     const EngineStats stats = engine.stats();
-    const auto pixels = static_cast<std::size_t>(stats.width * stats.height);
+    const int area = stats.width * stats.height;
+    const auto pixels = static_cast<std::size_t>(area);
     millimetres.assign(pixels, 7);
     metres.assign(pixels, 0);
     return engine.run(frame, {stats.width, stats.height, millimetres.data(), metres.data()});
@@ -150,7 +151,7 @@ TEST(Engine, TakesEveryPixelFormatOfTheSamePictureAlike) {
   Bench in_bgr(bgr);
   Bench in_yuyv(yuyv);
   // A grey picture, so that all three can express it: luma 16 + 219 * grey / 255.
-  for (std::size_t i = 0; i < 128U * 96U; ++i) {
+  for (std::size_t i = 0; i < std::size_t{128} * 96; ++i) {
     const auto luma = static_cast<std::uint8_t>(16 + i % 220);
     const auto grey = static_cast<std::uint8_t>(std::lround((luma - 16) * 255.0 / 219));
     for (std::size_t c = 0; c < 3; ++c) {
@@ -178,7 +179,7 @@ TEST(Engine, RefusesAFrameItWasNotPreparedForAndLeavesTheDepthAlone) {
     EXPECT_THAT(status.text(), HasSubstr(reason));
     EXPECT_THAT(bench.millimetres, testing::Each(7));
   };
-  expect_refused([](Bench& b) { b.frame.bytes = 150 * 3; }, "bytes");
+  expect_refused([](Bench& b) { b.frame.bytes = 450; }, "bytes");
   expect_refused([](Bench& b) { b.frame.data = nullptr; }, "bytes");
   expect_refused([](Bench& b) { b.frame.format.width = 149; }, "prepared for");
   expect_refused([](Bench& b) { b.frame.format.pixel = PixelFormat::kBgr24; }, "prepared for");

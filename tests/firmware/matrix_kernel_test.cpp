@@ -42,7 +42,8 @@ void check_product(const Product& p, unsigned seed) {
   SCOPED_TRACE(testing::Message() << p.rows << " x " << p.depth << " x " << p.columns);
   Random random(seed);
   const auto index = [](int row, int column, int width) {
-    return static_cast<std::size_t>(row * width + column);
+    const int i = row * width + column;
+    return static_cast<std::size_t>(i);
   };
   const auto a = random.reals(index(p.rows, 0, p.depth));
   const auto b = random.reals(index(p.depth, 0, p.columns));
@@ -108,7 +109,8 @@ float through(Activation activation, float x) {
 
 TEST(MatrixKernel, ActivationsAreAccurateOverTheirWholeRange) {
   for_each_isa([] {
-    for (float x = -80; x < 80; x += 0.0371F) {
+    for (int i = -2200; i < 2200; ++i) {
+      const float x = 0.0363F * static_cast<float>(i);
       const double silu = activated(Activation::kSilu, static_cast<double>(x));
       ASSERT_NEAR(through(Activation::kSilu, x), silu, 1e-6 * std::fabs(silu)) << x;
       const double elu = activated(Activation::kElu, static_cast<double>(x));
@@ -150,7 +152,8 @@ void check_attention(int tokens, int head_channels) {
   a.heads = 4;
   a.tokens = tokens;
   a.channels = 4 * head_channels;
-  const auto values = static_cast<std::size_t>(a.positions * tokens * a.channels);
+  const auto values = static_cast<std::size_t>(a.positions) * static_cast<std::size_t>(tokens) *
+                      static_cast<std::size_t>(a.channels);
   const auto qkv = random.reals(values * 3, -3, 3);
   std::vector<float> out(values);
   a.qkv = qkv.data();
@@ -224,8 +227,8 @@ TEST(NormKernel, LayerNormGivesEachRowMeanZeroAndDeviationOne) {
 
 TEST(NormKernel, GroupNormUsesTheStatisticsOfItsGroup) {
   for_each_isa([] {
-    constexpr int kHeight = 5;
-    constexpr int kWidth = 7;
+    constexpr std::size_t kHeight = 5;
+    constexpr std::size_t kWidth = 7;
     constexpr std::size_t kPixels = kHeight * kWidth;
     for (const std::size_t members : {1U, 4U, 5U, 16U}) {
       const std::size_t channels = 4 * members;

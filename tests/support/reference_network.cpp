@@ -115,8 +115,8 @@ class Reference {
             for (int t = 0; t < k * k; ++t) {
               const double v = padded(in, depthwise ? o : c, y * stride + t / k - k / 2,
                                       x * stride + t % k - k / 2, reflect);
-              acc += v * static_cast<double>(
-                             w.values[static_cast<std::size_t>((o * group + c) * k * k + t)]);
+              const int i = (o * group + c) * k * k + t;
+              acc += v * static_cast<double>(w.values[static_cast<std::size_t>(i)]);
             }
           }
           out.at(o, y, x) = acc;
@@ -286,7 +286,7 @@ class Reference {
   Planes group_norm(const Planes& x) const {
     Planes out = x;
     const int members = x.channels / 4;
-    const std::size_t plane = static_cast<std::size_t>(x.height * x.width);
+    const std::size_t plane = x.values.size() / static_cast<std::size_t>(x.channels);
     for (int g = 0; g < 4; ++g) {
       double mean = 0;
       double variance = 0;
@@ -389,8 +389,8 @@ std::map<std::string, Planes> run_reference(const ModelConfig& config,
   for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width; ++x) {
       for (int c = 0; c < 3; ++c) {
-        input.at(c, y, x) =
-            static_cast<double>(rgb[static_cast<std::size_t>((y * width + x) * 3 + c)]);
+        const int i = (y * width + x) * 3 + c;
+        input.at(c, y, x) = static_cast<double>(rgb[static_cast<std::size_t>(i)]);
       }
     }
   }

@@ -27,7 +27,8 @@ struct Planes {
 
  private:
   std::size_t index(int c, int y, int x) const {
-    return static_cast<std::size_t>((c * height + y) * width + x);
+    const int i = (c * height + y) * width + x;
+    return static_cast<std::size_t>(i);
   }
 };
 

@@ -21,6 +21,7 @@ void conv_rows(const Conv3x3& conv, int begin, int end, float* scratch) {
   const auto slot = [&](int row) { return scratch + (row + 1) % 3 * row_floats; };
   const int out_width = conv.width / conv.stride;
   const std::ptrdiff_t columns = conv.weights.columns;
+  const std::ptrdiff_t out_pitch = out_width * columns;
   int loaded = begin * conv.stride - 1;  // the next row to load
   for (int y = begin; y < end; ++y) {
     const int top = y * conv.stride - 1;
@@ -30,8 +31,7 @@ void conv_rows(const Conv3x3& conv, int begin, int end, float* scratch) {
                            3 * conv.channels,
                            static_cast<std::ptrdiff_t>(conv.stride) * conv.channels,
                            out_width};
-    multiply(rows, conv.weights,
-             {conv.output + y * out_width * columns, nullptr, columns, conv.activation});
+    multiply(rows, conv.weights, {conv.output + y * out_pitch, nullptr, columns, conv.activation});
   }
 }
 
@@ -53,15 +53,15 @@ HWY_INLINE void depthwise_pixel(const Depthwise3x3& conv, int y, int x, float* o
 
 // kPixels neighbouring output pixels, all windows inside the image; `in` is the first window's
 // corner. Columns that windows share are loaded once.
-template <int kStride, int kPixels>
+template <std::size_t kStride, std::size_t kPixels>
 HWY_INLINE void depthwise_pixels(const Depthwise3x3& conv, const float* in, float* out) {
-  constexpr int kColumns = (kPixels - 1) * kStride + 3;
+  constexpr std::size_t kColumns = (kPixels - 1) * kStride + 3;
   const auto channels = static_cast<std::size_t>(conv.channels);
   const std::size_t pitch = static_cast<std::size_t>(conv.width) * channels;
   for_channels(channels, [&](auto d, std::size_t c) HWY_ATTR {
     using V = decltype(hn::Zero(d));
     V sum[kPixels];
-    LCDM_UNROLL for (int p = 0; p < kPixels; ++p) sum[p] = hn::LoadU(d, conv.bias + c);
+    LCDM_UNROLL for (std::size_t p = 0; p < kPixels; ++p) sum[p] = hn::LoadU(d, conv.bias + c);
     LCDM_UNROLL for (std::size_t ky = 0; ky < 3; ++ky) {
       V column[kColumns];
       LCDM_UNROLL for (std::size_t i = 0; i < kColumns; ++i) {
@@ -69,7 +69,7 @@ HWY_INLINE void depthwise_pixels(const Depthwise3x3& conv, const float* in, floa
       }
       LCDM_UNROLL for (std::size_t kx = 0; kx < 3; ++kx) {
         const V w = hn::LoadU(d, conv.weights + (ky * 3 + kx) * channels + c);
-        LCDM_UNROLL for (int p = 0; p < kPixels; ++p) {
+        LCDM_UNROLL for (std::size_t p = 0; p < kPixels; ++p) {
           sum[p] = hn::MulAdd(column[p * kStride + kx], w, sum[p]);
         }
       }
@@ -93,7 +93,7 @@ HWY_INLINE void depthwise_row(const Depthwise3x3& conv, int y) {
     depthwise_pixel(conv, y, x++, out);
     for (; (x + kPixels - 1) * kStride + 1 < conv.width; x += kPixels) {
       const float* in =
-          conv.input + (static_cast<std::size_t>(top) * conv.width + x * kStride - 1) * channels;
+          conv.input + (static_cast<std::size_t>(top) * conv.width + (x * kStride - 1)) * channels;
       depthwise_pixels<kStride, kPixels>(conv, in, out + x * channels);
     }
   }
