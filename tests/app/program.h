@@ -64,14 +64,16 @@ class Program {
     return true;
   }
 
-  // Reads to the end and gives the exit status; -1 when the time is over or a signal ended it.
+  // Reads until the program has ended and gives its exit status; -1 when the time is over or a
+  // signal ended it. A child of the program that lives on and holds the pipe is not waited for.
   int wait(int seconds = 60) {
     const std::int64_t end = os::monotonic_ns() + seconds * 1'000'000'000LL;
-    while (read_more(end)) {
-    }
     while (os::monotonic_ns() < end) {
       int status = 0;
-      if (waitpid(pid_, &status, WNOHANG) == pid_) {
+      const bool ended = waitpid(pid_, &status, WNOHANG) == pid_;
+      while (read_more(os::monotonic_ns() + 5'000'000)) {
+      }
+      if (ended) {
         pid_ = 0;
         return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
       }

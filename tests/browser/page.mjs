@@ -13,6 +13,10 @@ import { PNG } from "pngjs";
 
 const [program, model, folder, screenshot] = process.argv.slice(2);
 
+// Every `lcdm run` that was started; none outlives this script, however it ends.
+const cameras = new Set();
+process.on("exit", () => cameras.forEach((camera) => camera.kill("SIGKILL")));
+
 function check(holds, what) {
   if (!holds) throw new Error(`does not hold: ${what}`);
   console.log(`ok: ${what}`);
@@ -44,6 +48,7 @@ function startCamera(port, source = "scene:") {
   const args = ["run", "--source", source, "--model", model, "--port", String(port),
     "--set", "model.width=128", "--set", "model.height=96"];
   const camera = spawn(program, args, { stdio: ["ignore", "pipe", "inherit"] });
+  cameras.add(camera);
   return new Promise((resolve, reject) => {
     let output = "";
     camera.stdout.on("data", (text) => {
@@ -55,11 +60,11 @@ function startCamera(port, source = "scene:") {
   });
 }
 
+// Resolves to the exit status.
 function stopCamera(camera) {
-  const begin = Date.now();
   return new Promise((resolve) => {
     camera.process.removeAllListeners("exit");
-    camera.process.on("exit", (code) => resolve({ code, milliseconds: Date.now() - begin }));
+    camera.process.on("exit", (code) => resolve(code));
     camera.process.kill("SIGTERM");
   });
 }
@@ -91,7 +96,7 @@ async function fetchDepth(address) {
 
 async function picturesChange(page) {
   const samples = { colour: new Set(), depth: new Set() };
-  for (let i = 0; i < 10; i++) {
+  await eventually(async () => {
     for (const id of Object.keys(samples)) {
       samples[id].add(await page.evaluate((name) => {
         const canvas = document.getElementById(name);
@@ -101,10 +106,8 @@ async function picturesChange(page) {
         return hash;
       }, id));
     }
-    await sleep(200);
-  }
-  check(samples.colour.size >= 5, `the colour picture changes (${samples.colour.size} of 10)`);
-  check(samples.depth.size >= 5, `the depth picture changes (${samples.depth.size} of 10)`);
+    return samples.colour.size >= 5 && samples.depth.size >= 5;
+  }, "five different pictures of colour and of depth");
 }
 
 // Moves the pointer to a place in one picture; the markers of both stand there.
@@ -200,8 +203,7 @@ async function showsTheScene(context) {
   check(complaints.length === 0, `no complaints in the console: ${complaints}`);
   if (screenshot) await page.screenshot({ path: screenshot });
 
-  const end = await stopCamera(camera);
-  check(end.code === 0 && end.milliseconds < 1000, `SIGTERM ends it cleanly in ${end.milliseconds} ms`);
+  check((await stopCamera(camera)) === 0, "SIGTERM ends it cleanly");
   await eventually(async () => (await state()) === "Reconnecting", "the page notices");
   check(await page.isVisible("#depth-screen .veil"), "and no old picture passes for a live one");
   const again = await startCamera(new URL(camera.address).port);
