@@ -48,7 +48,7 @@ run_tests() {
 }
 npm_packages() {
   local folder
-  for folder in tests/peers tests/browser; do
+  for folder in tests/peers tests/browser model/peers; do
     npm --prefix "$folder" install --no-package-lock --ignore-scripts --no-audit --no-fund --silent
   done
 }

@@ -10,6 +10,7 @@ namespace lcdm::model {
 
 void add_train(CLI::App& app, Status& status);
 void add_evaluate(CLI::App& app, Status& status);
+void add_compare(CLI::App& app, Status& status);
 void add_export(CLI::App& app, Status& status);
 void add_golden(CLI::App& app, Status& status);
 void add_pack(CLI::App& app, Status& status);

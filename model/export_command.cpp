@@ -4,6 +4,7 @@
 #include "firmware/nn/model_file.h"
 #include "model/commands.h"
 #include "model/exporter.h"
+#include "model/onnx_export.h"
 #include "model/trainer.h"
 
 namespace lcdm::model {
@@ -11,7 +12,11 @@ namespace {
 
 struct Options {
   std::string checkpoint;
+  std::string model;
   std::string output;
+  std::string onnx;
+  int width = 640;
+  int height = 192;
   std::string name;
   std::string card;
   std::optional<StartKind> start;
@@ -20,7 +25,8 @@ struct Options {
       "only)";
 };
 
-Status run(const Options& options) {
+// The checkpoint's weights as the device's model file.
+Status write_model(const Options& options) {
   Result<DepthNetwork> network = load_checkpoint(options.checkpoint);
   if (!network) return network.status();
   ModelConfig& config = (*network)->config;
@@ -36,17 +42,43 @@ Status run(const Options& options) {
   return Status::ok();
 }
 
+Status run(const Options& options) {
+  if (!options.checkpoint.empty()) {
+    if (options.output.empty() || options.name.empty() || options.card.empty()) {
+      return Status::error(StatusCode::kInvalidInput,
+                           "a checkpoint becomes a model file with --output, --name and --card");
+    }
+    LCDM_RETURN_IF_ERROR(write_model(options));
+  } else if (options.model.empty() || options.onnx.empty()) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "nothing to export: give --checkpoint, or --model with --onnx");
+  }
+  if (options.onnx.empty()) return Status::ok();
+  const Result<ModelFile> file =
+      ModelFile::load(options.model.empty() ? options.output : options.model);
+  if (!file) return file.status();
+  return export_onnx(*file, options.width, options.height, options.onnx);
+}
+
 }  // namespace
 
 void add_export(CLI::App& app, Status& status) {
-  auto* command = app.add_subcommand("export", "Writes a checkpoint's weights for the device");
+  auto* command = app.add_subcommand(
+      "export", "Writes a checkpoint's weights for the device, or a model file as ONNX");
   auto options = std::make_shared<Options>();
-  command->add_option("--checkpoint", options->checkpoint, "Training checkpoint")
-      ->required()
-      ->check(CLI::ExistingFile);
-  command->add_option("--output", options->output, "The .safetensors file")->required();
-  command->add_option("--name", options->name, "Name in the file")->required();
-  command->add_option("--card", options->card, "One paragraph: data, steps, metrics")->required();
+  auto* checkpoint = command->add_option("--checkpoint", options->checkpoint, "Training checkpoint")
+                         ->check(CLI::ExistingFile);
+  command->add_option("--model", options->model, "Model file, where there is no checkpoint")
+      ->check(CLI::ExistingFile)
+      ->excludes(checkpoint);
+  command->add_option("--output", options->output, "The .safetensors file to write");
+  command->add_option("--onnx", options->onnx, "ONNX file to write, for other runtimes");
+  command->add_option("--width", options->width, "Of the ONNX graph's input")
+      ->capture_default_str();
+  command->add_option("--height", options->height, "Of the ONNX graph's input")
+      ->capture_default_str();
+  command->add_option("--name", options->name, "Name in the file");
+  command->add_option("--card", options->card, "One paragraph: data, steps, metrics");
   command->add_option("--licence", options->licence, "That follows from the data")
       ->capture_default_str();
   const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
