@@ -18,10 +18,6 @@ AdamW::AdamW(const torch::nn::Module& module, double weight_decay) : weight_deca
   }
 }
 
-void AdamW::zero_grad() {
-  for (Slot& slot : slots_) slot.parameter.mutable_grad() = torch::Tensor();
-}
-
 double AdamW::clip(double limit) {
   double square = 0;
   for (const Slot& slot : slots_) {

@@ -14,7 +14,6 @@ class AdamW {
   // Biases, norms and other vectors are not decayed.
   AdamW(const torch::nn::Module& module, double weight_decay);
 
-  void zero_grad();
   // Scales all gradients so that their common norm is at most `limit`; returns the norm before.
   double clip(double limit);
   void step(double learning_rate);

@@ -12,7 +12,7 @@ constexpr double kMean = 0.45;
 constexpr double kDeviation = 0.225;
 
 cv::Rect random_crop(cv::Size full, double aspect, SampleRandom& random) {
-  const double scale = random.chance(0.3) ? 1 : random.uniform(0.6, 1);
+  const double scale = random.chance(0.3) ? 1 : random.uniform(0.5, 1);
   const double width = std::min<double>(full.width, full.height * aspect) * scale;
   cv::Rect crop;
   crop.width = std::clamp(cvRound(width), 16, full.width);

@@ -52,7 +52,7 @@ struct AugmentedSample {
   cv::Mat depth;       // CV_32FC1, canonical, 0 = unknown
   CameraModel camera;  // of the crop at its new size, flipped
 };
-// Random crop (60 to 100 % of the largest of about the shape's aspect), flip, colour jitter.
+// Random crop (50 to 100 % of the largest of about the shape's aspect), flip, colour jitter.
 AugmentedSample augment(const PackFrame& frame, const BatchShape& shape, SampleRandom& random);
 
 // Batch number `step`: packs drawn by their share for the shape.

@@ -26,6 +26,19 @@ torch::Tensor distillation_loss(const torch::Tensor& log_depth, const torch::Ten
 
 }  // namespace
 
+Losses Losses::times(double factor) const {
+  return {total * factor, distillation * factor, denoising * factor, gradient * factor,
+          direct * factor};
+}
+
+void Losses::add(const Losses& other) {
+  total = total.detach() + other.total.detach();
+  distillation += other.distillation;
+  denoising += other.denoising;
+  gradient += other.gradient;
+  direct += other.direct;
+}
+
 torch::Tensor masked_mean(const torch::Tensor& error, const torch::Tensor& mask,
                           const torch::Tensor& weight) {
   const torch::Tensor count = per_image_sum(mask.to(error.dtype()));
@@ -36,7 +49,12 @@ torch::Tensor masked_mean(const torch::Tensor& error, const torch::Tensor& mask,
 
 torch::Tensor log_depth_loss(const torch::Tensor& log_depth, const torch::Tensor& log_target,
                              const torch::Tensor& mask, const torch::Tensor& weight) {
-  return masked_mean((log_depth - log_target).abs(), mask, weight);
+  const torch::Tensor error =
+      torch::where(mask, log_depth - log_target, torch::zeros_like(log_depth));
+  const torch::Tensor count = per_image_sum(mask.to(error.dtype())).clamp_min(1);
+  const torch::Tensor scale = (per_image_sum(error) / count).reshape({-1, 1, 1, 1});
+  const torch::Tensor shape = masked_mean((error - scale).abs(), mask, weight);
+  return shape + kScaleWeight * masked_mean(scale.abs().expand_as(error), mask, weight);
 }
 
 torch::Tensor gradient_loss(const torch::Tensor& log_depth, const torch::Tensor& log_target,
@@ -107,34 +125,37 @@ torch::Tensor denoising_loss(DepthNetwork& network, const torch::Tensor& conditi
 }
 
 Losses training_losses(DepthNetwork& network, const torch::Tensor& rgb, const Target& target,
-                       const LossWeights& weights, at::Generator& generator) {
+                       const LossWeights& weights, Part part, at::Generator& generator) {
   const ModelConfig& config = network->config;
   const torch::Tensor condition = network->condition_of(rgb);
-  const torch::Tensor student = network->sample(condition, static_cast<int>(config.steps.size()));
-  const torch::Tensor log_depth = log_depth_of_variable(student, config);
-  const torch::Tensor direct = log_depth_of_variable(network->sample(condition, 0), config);
+  const int steps = part == Part::kWhole ? static_cast<int>(config.steps.size()) : 0;
+  const torch::Tensor direct = network->sample(condition, 0);
+  const torch::Tensor student = steps > 0 ? network->sample(condition, steps) : direct;
 
   const torch::Tensor mask = target.depth > 0;
   const torch::Tensor log_target =
       align_to_student(torch::where(mask, target.depth, torch::ones_like(target.depth))
                            .clamp(kMinDepth, kMaxDepth)
                            .log(),
-                       log_depth, mask, target.reliable);
-  const torch::Tensor target_variable = variable_of_depth(log_target.exp(), config);
+                       log_depth_of_variable(student, config), mask, target.reliable);
 
-  const auto distillation = [&](const torch::Tensor& estimate) {
-    return distillation_loss(estimate, log_target, mask, target.weight, config.preset);
+  const auto distillation = [&](const torch::Tensor& variable) {
+    return distillation_loss(log_depth_of_variable(variable, config), log_target, mask,
+                             target.weight, config.preset);
   };
-  const auto gradient = [&](const torch::Tensor& estimate) {
-    return gradient_loss(estimate, log_target, mask, target.weight * target.sharp);
+  const auto gradient = [&](const torch::Tensor& variable) {
+    return gradient_loss(log_depth_of_variable(variable, config), log_target, mask,
+                         target.weight * target.sharp);
   };
-  const torch::Tensor distilled = distillation(log_depth);
-  const torch::Tensor edges = gradient(log_depth);
-  const torch::Tensor denoised =
-      denoising_loss(network, condition, target_variable, student, mask, target.weight,
-                     draw_denoising(network, generator, student.sizes()));
   const torch::Tensor zero_step =
       weights.distillation * distillation(direct) + weights.gradient * gradient(direct);
+  if (part == Part::kDirect) return {zero_step, 0, 0, 0, zero_step.item<double>()};
+
+  const torch::Tensor distilled = distillation(student);
+  const torch::Tensor edges = gradient(student);
+  const torch::Tensor denoised =
+      denoising_loss(network, condition, variable_of_depth(log_target.exp(), config), student, mask,
+                     target.weight, draw_denoising(network, generator, student.sizes()));
   const torch::Tensor total = weights.distillation * distilled + weights.denoising * denoised +
                               weights.gradient * edges + weights.direct * zero_step;
   return {total, distilled.item<double>(), denoised.item<double>(), edges.item<double>(),

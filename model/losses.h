@@ -24,11 +24,14 @@ struct LossWeights {
 };
 
 struct Losses {
-  torch::Tensor total;
+  torch::Tensor total = torch::zeros({});  // with gradients
   double distillation = 0;
   double denoising = 0;
   double gradient = 0;
   double direct = 0;
+
+  Losses times(double factor) const;
+  void add(const Losses& other);  // takes no gradients over
 };
 
 // Mean over the images (weighted) of each image's mean of |error| over its mask. Images without a
@@ -36,7 +39,10 @@ struct Losses {
 torch::Tensor masked_mean(const torch::Tensor& error, const torch::Tensor& mask,
                           const torch::Tensor& weight);
 
-// Depth distillation: L1 on log depth.
+// Depth distillation: L1 on log depth, split into shape and scale. Of every image, e = log_depth -
+// log_target: mean |e - mean e| + kScaleWeight |mean e|. One picture hardly tells its scale, so an
+// undivided L1 is mostly scale, and its noise hides the shape.
+inline constexpr double kScaleWeight = 0.3;
 torch::Tensor log_depth_loss(const torch::Tensor& log_depth, const torch::Tensor& log_target,
                              const torch::Tensor& mask, const torch::Tensor& weight);
 
@@ -67,8 +73,12 @@ torch::Tensor denoising_loss(DepthNetwork& network, const torch::Tensor& conditi
                              const torch::Tensor& mask, const torch::Tensor& weight,
                              const DenoisingDraw& draw);
 
+// What a step trains: everything, or encoder, decoder and the 0-step answer alone, which is
+// cheaper and does not ask an untrained decoder to steer the head.
+enum class Part : std::uint8_t { kWhole, kDirect };
+
 // One pass of network and losses over normalised rgb [B, 3, H, W].
 Losses training_losses(DepthNetwork& network, const torch::Tensor& rgb, const Target& target,
-                       const LossWeights& weights, at::Generator& generator);
+                       const LossWeights& weights, Part part, at::Generator& generator);
 
 }  // namespace lcdm::model

@@ -47,7 +47,26 @@ struct Intrinsics {
   double depth_unit = 0.001;
 };
 
+// A clip's intrinsics.txt: fx fy cx cy.
+Result<Intrinsics> read_clip_intrinsics(const fs::path& folder) {
+  std::ifstream file(folder / "intrinsics.txt");
+  double fx = 0;
+  double fy = 0;
+  double cx = 0;
+  double cy = 0;
+  if (!(file >> fx >> fy >> cx >> cy) || fx <= 0 || fy <= 0) {
+    return Status::error(StatusCode::kCorrupt, "%s/intrinsics.txt does not hold fx fy cx cy",
+                         folder.c_str());
+  }
+  const std::string json = "{\"fx\":" + std::to_string(fx) + ",\"fy\":" + std::to_string(fy) +
+                           ",\"cx\":" + std::to_string(cx) + ",\"cy\":" + std::to_string(cy) + "}";
+  const Result<JsonValue> parsed = parse_json(json);
+  if (!parsed) return parsed.status();
+  return Intrinsics{*parsed};
+}
+
 Result<Intrinsics> read_intrinsics(const fs::path& folder) {
+  if (fs::exists(folder / "intrinsics.txt")) return read_clip_intrinsics(folder);
   const Result<std::string> text = read_text(folder / "intrinsics.json");
   if (!text) return text.status();
   const Result<JsonValue> json = parse_json(*text);
@@ -168,6 +187,16 @@ const std::vector<PackUse>& training_packs() {
       {"driving_carnd_testvideo", Teacher::kMeter, 0, 0.4F, 0.04F, 0.03F},
       {"driving_carnd_highway", Teacher::kMeter, 60, 0.4F, 0.05F, 0.03F},
       {"driving_camvid_stills", Teacher::kMeter, 55, 0.3F, 0.06F, 0.06F},
+      {"clips_deepv2d/kitti_0", Teacher::kMeter, 0, 0.5F, 0.01F, 0},
+      {"clips_deepv2d/kitti_1", Teacher::kMeter, 0, 0.5F, 0.01F, 0},
+      {"clips_deepv2d/kitti_2", Teacher::kMeter, 0, 0.5F, 0.01F, 0},
+      {"clips_deepv2d/kitti_3", Teacher::kMeter, 0, 0.5F, 0.01F, 0},
+      {"clips_deepv2d/nyu_0", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
+      {"clips_deepv2d/nyu_1", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
+      {"clips_deepv2d/nyu_2", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
+      {"clips_deepv2d/nyu_3", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
+      {"clips_deepv2d/scannet_0", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
+      {"clips_deepv2d/scannet_1", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
   };
   return packs;
 }
@@ -204,7 +233,8 @@ Split split_frames(const std::vector<std::string>& names) {
 
 Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, std::size_t every) {
   const fs::path folder = root / use.name;
-  const std::vector<fs::path> pictures = files_of(folder / "rgb", ".jpg");
+  std::vector<fs::path> pictures = files_of(folder / "rgb", ".jpg");
+  if (pictures.empty()) pictures = files_of(folder, ".jpg");  // a clip
   if (pictures.empty()) {
     return Status::error(StatusCode::kNotFound,
                          "%s/rgb holds no .jpg: give the data's folder with --data",

@@ -49,7 +49,8 @@ struct Split {
 // 34 frames) only train.
 Split split_frames(const std::vector<std::string>& names);
 
-// Reads root/use.name with rgb/, intrinsics.json and depth/ or teacher_meter/ (with band.json).
+// Reads root/use.name with rgb/, intrinsics.json and depth/ or teacher_meter/ (with band.json), or
+// a clip: pictures and intrinsics.txt (fx fy cx cy) side by side.
 // Pictures wider than `max_width` are reduced. kNotFound: no such folder; kCorrupt: a file in it
 // cannot be used, named in the text. `every` > 1 keeps every n-th frame.
 Result<Pack> load_pack(const std::filesystem::path& root, const PackUse& use, int max_width,

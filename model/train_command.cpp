@@ -143,6 +143,18 @@ void add_train(CLI::App& app, Status& status) {
       ->check(CLI::Range(0.2, 1.0))
       ->capture_default_str();
   command
+      ->add_option(
+          "--head-from", recipe.head_from,
+          "Share of the steps before which only encoder, decoder and the 0-step answer train")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  command
+      ->add_option(
+          "--workers", recipe.workers,
+          "Threads that train on a part of each batch (the weights depend on their number)")
+      ->check(CLI::Range(1, 256))
+      ->capture_default_str();
+  command
       ->add_option("--full-from", recipe.full_from,
                    "Share of the steps after which pictures have the deployed size")
       ->check(CLI::Range(0.0, 1.0))

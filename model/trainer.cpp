@@ -1,6 +1,7 @@
 #include "model/trainer.h"
 
 #include <cmath>
+#include <future>
 
 #include "model/config_json.h"
 #include "model/depth_code.h"
@@ -53,6 +54,23 @@ void use_channels_last(DepthNetwork& network) {
   }
 }
 
+DepthNetwork make_replica(DepthNetwork& network) {
+  DepthNetwork replica(network->config);
+  const auto weights = network->named_parameters();
+  for (auto& item : replica->named_parameters()) {
+    item.value().set_data(weights[item.key()].detach());
+  }
+  return replica;
+}
+
+// The samples [first, first + count) of a batch.
+Batch part_of(const Batch& batch, std::int64_t first, std::int64_t count) {
+  const Target& all = batch.target;
+  return {batch.rgb.narrow(0, first, count),
+          {all.depth.narrow(0, first, count), all.weight.narrow(0, first, count),
+           all.sharp.narrow(0, first, count), all.reliable.narrow(0, first, count)}};
+}
+
 // Mean and deviation of the teacher's logit over a few batches (MODEL.md: `lcdm` only).
 void measure_variable(ModelConfig& config, const std::vector<Pack>& packs,
                       const std::vector<BatchShape>& shapes, std::uint64_t seed) {
@@ -96,6 +114,8 @@ Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs)
   if (recipe.preset == PresetKind::kLcdm) measure_variable(config, packs, shapes(), recipe.seed);
   network_ = DepthNetwork(config);
   use_channels_last(network_);
+  const int workers = std::min({recipe.workers, recipe.images, recipe.full_images});
+  for (int i = 1; i < workers; ++i) replicas_.push_back(make_replica(network_));
   average_ = DepthNetwork(config);
   std::map<std::string, torch::Tensor> tensors;
   collect(network_, "", tensors);
@@ -104,10 +124,13 @@ Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs)
   optimizer_ = std::make_unique<AdamW>(*network_, recipe.weight_decay);
 }
 
+bool Trainer::past(double share) const {
+  return static_cast<double>(step_) >= share * static_cast<double>(recipe_.steps);
+}
+
 std::vector<BatchShape> Trainer::shapes() const {
-  const bool full =
-      static_cast<double>(step_) >= recipe_.full_from * static_cast<double>(recipe_.steps);
-  return full ? make_shapes(1, recipe_.full_images) : make_shapes(recipe_.reduced, recipe_.images);
+  return past(recipe_.full_from) ? make_shapes(1, recipe_.full_images)
+                                 : make_shapes(recipe_.reduced, recipe_.images);
 }
 
 double Trainer::learning_rate() const {
@@ -122,13 +145,58 @@ double Trainer::learning_rate() const {
                                   (1 + std::cos(M_PI * std::min(1.0, progress)));
 }
 
+// Frozen statistics are the averaged ones: those of the last few mixed batches are too noisy.
 void Trainer::set_modes() {
-  network_->train();
-  const bool frozen =
-      static_cast<double>(step_) >= recipe_.freeze_from * static_cast<double>(recipe_.steps);
-  if (!frozen) return;
-  for (const auto& module : network_->modules()) {
-    if (auto* norm = module->as<torch::nn::BatchNorm2d>()) norm->eval();
+  const torch::NoGradGuard no_grad;
+  const auto averaged = average_->named_buffers();
+  const auto set = [&](DepthNetwork& network) {
+    network->train();
+    if (!past(recipe_.freeze_from)) return;
+    for (auto& buffer : network->named_buffers()) buffer.value().copy_(averaged[buffer.key()]);
+    for (const auto& module : network->modules()) {
+      if (auto* norm = module->as<torch::nn::BatchNorm2d>()) norm->eval();
+    }
+  };
+  set(network_);
+  for (DepthNetwork& replica : replicas_) set(replica);
+}
+
+Losses Trainer::run_worker(std::size_t worker, const Batch& part, double share) {
+  at::set_num_threads(1);  // of this thread: two whole passes side by side beat one on two threads
+  DepthNetwork& network = worker == 0 ? network_ : replicas_[worker - 1];
+  for (torch::Tensor& weight : network->parameters()) weight.mutable_grad() = torch::Tensor();
+  at::Generator generator = at::detail::createCPUGenerator(
+      SampleRandom(recipe_.seed, static_cast<std::uint64_t>(step_), kLossStream + worker)
+          .below(1U << 31));
+  const Part what = past(recipe_.head_from) ? Part::kWhole : Part::kDirect;
+  Losses losses =
+      training_losses(network, part.rgb, part.target, recipe_.losses, what, generator).times(share);
+  losses.total.backward();
+  return losses;
+}
+
+void Trainer::gather_workers() {
+  const torch::NoGradGuard no_grad;
+  auto weights = network_->named_parameters();
+  auto statistics = network_->named_buffers();
+  for (DepthNetwork& replica : replicas_) {
+    for (const auto& item : replica->named_parameters()) {
+      torch::Tensor& sum = weights[item.key()].mutable_grad();
+      const torch::Tensor& grad = item.value().grad();
+      if (!grad.defined()) continue;
+      sum = sum.defined() ? sum.add_(grad) : grad;
+    }
+    for (const auto& item : replica->named_buffers()) statistics[item.key()].add_(item.value());
+  }
+  const auto workers = static_cast<std::int64_t>(replicas_.size()) + 1;
+  for (auto& item : statistics) {
+    if (item.value().is_floating_point()) {
+      item.value().div_(workers);
+    } else {
+      item.value().floor_divide_(workers);
+    }
+    for (DepthNetwork& replica : replicas_)
+      replica->named_buffers()[item.key()].copy_(item.value());
   }
 }
 
@@ -160,11 +228,19 @@ Result<Losses> Trainer::advance() {
   }
   const Batch batch = loader_->next();
   set_modes();
-  at::Generator generator = at::detail::createCPUGenerator(
-      SampleRandom(recipe_.seed, static_cast<std::uint64_t>(step_), kLossStream).below(1U << 31));
-  optimizer_->zero_grad();
-  const Losses losses =
-      training_losses(network_, batch.rgb, batch.target, recipe_.losses, generator);
+  const std::int64_t images = batch.rgb.size(0);
+  const auto workers = static_cast<std::int64_t>(replicas_.size()) + 1;
+  std::vector<std::future<Losses>> running;
+  for (std::int64_t i = 0; i < workers; ++i) {
+    const std::int64_t first = i * images / workers;
+    const std::int64_t count = (i + 1) * images / workers - first;
+    running.push_back(std::async(std::launch::async, [this, i, count, images, first, &batch] {
+      return run_worker(static_cast<std::size_t>(i), part_of(batch, first, count),
+                        static_cast<double>(count) / static_cast<double>(images));
+    }));
+  }
+  Losses losses;
+  for (std::future<Losses>& part : running) losses.add(part.get());
   if (!std::isfinite(losses.total.item<double>())) {
     return Status::error(
         StatusCode::kCorrupt,
@@ -173,14 +249,14 @@ Result<Losses> Trainer::advance() {
         static_cast<long long>(step_), losses.distillation, losses.denoising, losses.gradient,
         losses.direct);
   }
-  losses.total.backward();
+  gather_workers();
   if (const double norm = optimizer_->clip(recipe_.clip); !std::isfinite(norm)) {
     return Status::error(StatusCode::kCorrupt,
                          "step %lld: a gradient is not finite; lower the learning rate",
                          static_cast<long long>(step_));
   }
   optimizer_->step(learning_rate());
-  images_ += batch.rgb.size(0);
+  images_ += images;
   ++step_;
   update_average();
   return losses;

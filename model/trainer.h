@@ -22,10 +22,12 @@ struct Recipe {
   std::uint64_t seed = 1;
   std::int64_t steps = 1000;
   double reduced = 0.5;      // first part trains at this share of the deployed size
-  double full_from = 0.8;    // share of the steps after which it trains at the deployed size
+  double head_from = 0.4;    // share of the steps before which only the 0-step answer is trained
+  double full_from = 0.8;    // after which it trains at the deployed size
   double freeze_from = 0.5;  // and after which batch-norm statistics stay as they are
   int images = 8;            // of a batch at the reduced size
   int full_images = 4;       // and at the deployed size
+  int workers = 2;           // threads that share a batch; batch norm sees a worker's part only
   double learning_rate = 1e-3;
   double final_rate = 5e-6;
   std::int64_t warm_up = 100;
@@ -60,13 +62,20 @@ class Trainer {
   Status resume(const std::string& path);
 
  private:
+  bool past(double share) const;
   void set_modes();
+  // Losses and gradients of one worker's part of the batch; its share weighs them.
+  Losses run_worker(std::size_t worker, const Batch& part, double share);
+  // Sums the workers' gradients and averages their statistics into worker 0.
+  void gather_workers();
   void update_average();
   std::vector<BatchShape> shapes() const;
 
   Recipe recipe_;
   const std::vector<Pack>& packs_;
-  DepthNetwork network_ = nullptr;
+  DepthNetwork network_ = nullptr;      // also worker 0's
+  std::vector<DepthNetwork> replicas_;  // of the other workers: the same weights in memory,
+                                        // gradients and statistics of their own
   DepthNetwork average_ = nullptr;
   std::unique_ptr<AdamW> optimizer_;
   std::unique_ptr<BatchLoader> loader_;

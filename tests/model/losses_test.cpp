@@ -43,11 +43,20 @@ TEST(MaskedMean, ImagesWithoutDepthCountAsNothing) {
   EXPECT_FLOAT_EQ(masked_mean(error, mask, torch::ones({2})).item<float>(), 2);
 }
 
-TEST(LogDepthLoss, IsTheMeanAbsoluteRatioInLogs) {
+// Errors log 2 and -log 4: mean -log(2) / 2, each 1.5 log 2 away from it.
+TEST(LogDepthLoss, IsTheMeanAbsoluteLogErrorOfTheShapePlusAShareOfTheScale) {
   const torch::Tensor estimate = image({2, 8}, 1, 2).log();
   const torch::Tensor truth = image({1, 32}, 1, 2).log();
   EXPECT_NEAR(log_depth_loss(estimate, truth, no_mask(truth), torch::ones({1})).item<float>(),
-              (std::log(2.0) + std::log(4.0)) / 2, 1e-6);
+              (1.5 + kScaleWeight * 0.5) * std::log(2.0), 1e-6);
+}
+
+TEST(LogDepthLoss, LeavesHolesOutOfShapeAndScale) {
+  const torch::Tensor estimate = image({2, 2, 90}, 1, 3).log();
+  const torch::Tensor truth = image({1, 1, 1}, 1, 3).log();
+  const torch::Tensor mask = image({1, 1, 0}, 1, 3).to(torch::kBool);
+  EXPECT_NEAR(log_depth_loss(estimate, truth, mask, torch::ones({1})).item<float>(),
+              kScaleWeight * std::log(2.0), 1e-6);
 }
 
 TEST(GradientLoss, IsZeroForAConstantFactor) {
@@ -154,8 +163,8 @@ TEST(TrainingLosses, NinetyPercentHolesGiveNoNanAndNoBias) {
   Target holes = full;
   holes.depth =
       torch::where(torch::rand({2, 1, 64, 64}) < 0.9, torch::zeros({2, 1, 64, 64}), full.depth);
-  const Losses a = training_losses(network, rgb, full, {}, generator);
-  const Losses b = training_losses(network, rgb, holes, {}, generator);
+  const Losses a = training_losses(network, rgb, full, {}, Part::kWhole, generator);
+  const Losses b = training_losses(network, rgb, holes, {}, Part::kWhole, generator);
   b.total.backward();
   for (const torch::Tensor& parameter : network->parameters()) {
     if (!parameter.grad().defined()) continue;

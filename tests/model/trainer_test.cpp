@@ -29,6 +29,7 @@ Recipe small_recipe() {
   recipe.steps = 6;
   recipe.images = 2;
   recipe.reduced = 0.25;
+  recipe.head_from = 0;
   recipe.full_from = 1;
   recipe.warm_up = 2;
   return recipe;
@@ -150,8 +151,8 @@ TEST(Trainer, FitsAFewFrames) {
   const Batch batch = make_batch(scene_packs(), shape, 77, 0);
   at::Generator generator = at::detail::createCPUGenerator(1);
   const torch::NoGradGuard no_grad;
-  const Losses kept =
-      training_losses(trainer.averaged(), batch.rgb, batch.target, recipe.losses, generator);
+  const Losses kept = training_losses(trainer.averaged(), batch.rgb, batch.target, recipe.losses,
+                                      Part::kWhole, generator);
   EXPECT_LT(kept.distillation, 0.6 * first);
 }
 
