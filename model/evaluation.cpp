@@ -92,8 +92,10 @@ Result<Estimator> file_estimator(const std::string& path, double share) {
 
 Estimator teacher_estimator(const PackUse& use, const std::string& root) {
   return [folder = fs::path(root) / use.name / "teacher_meter"](const PackFrame& frame) {
-    const cv::Mat raw = cv::imread((folder / (frame.name + ".png")).string(), cv::IMREAD_UNCHANGED);
+    const fs::path path = folder / (frame.name + ".png");
     cv::Mat depth;
+    if (!fs::exists(path)) return depth;
+    const cv::Mat raw = cv::imread(path.string(), cv::IMREAD_UNCHANGED);
     if (!raw.empty()) raw.convertTo(depth, CV_32F, 1.0 / 256);
     return depth;
   };
@@ -102,7 +104,8 @@ Estimator teacher_estimator(const PackUse& use, const std::string& root) {
 Estimator folder_estimator(const std::string& folder) {
   return [root = fs::path(folder)](const PackFrame& frame) {
     const auto read = [&](const char* extension) {
-      return cv::imread((root / (frame.name + extension)).string(), cv::IMREAD_UNCHANGED);
+      const fs::path path = root / (frame.name + extension);
+      return fs::exists(path) ? cv::imread(path.string(), cv::IMREAD_UNCHANGED) : cv::Mat();
     };
     cv::Mat depth = read(".tiff");
     if (depth.type() == CV_32FC1 && !depth.empty()) return depth;
