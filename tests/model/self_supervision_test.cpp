@@ -1,0 +1,106 @@
+// The photometric and smoothness losses on figures worked by hand.
+#include "model/self_supervision.h"
+
+#include <gtest/gtest.h>
+
+#include "model/geometry.h"
+#include "model/pose_net.h"
+
+namespace lcdm::model {
+namespace {
+
+at::Generator generator() { return at::detail::createCPUGenerator(3); }
+
+TEST(StructuralDifference, IsZeroForTheSamePicture) {
+  const torch::Tensor x = torch::rand({1, 3, 12, 16});
+  EXPECT_LT(structural_difference(x, x).abs().max().item<double>(), 1e-5);
+}
+
+// Flat pictures of 0.2 and 0.6: no variance, so (1 - (2 ab + C1) / (a^2 + b^2 + C1)) / 2.
+TEST(StructuralDifference, OfFlatPicturesIsTheFormula) {
+  const torch::Tensor a = torch::full({1, 1, 8, 8}, 0.2F);
+  const torch::Tensor b = torch::full({1, 1, 8, 8}, 0.6F);
+  const double expected = (1 - (2 * 0.12 + 1e-4) / (0.04 + 0.36 + 1e-4)) / 2;
+  EXPECT_NEAR(structural_difference(a, b).mean().item<double>(), expected, 1e-4);
+  EXPECT_NEAR(photometric_error(a, b).mean().item<double>(), 0.85 * expected + 0.15 * 0.4, 1e-4);
+}
+
+TEST(PhotometricLoss, TakesTheBestOfTheNeighboursPixelByPixel) {
+  const torch::Tensor target = torch::rand({1, 3, 16, 32});
+  torch::Tensor left = target.clone();
+  torch::Tensor right = target.clone();
+  left.narrow(3, 16, 16).fill_(0);  // each sees one half, as where something stands in the way
+  right.narrow(3, 0, 16).fill_(0);
+  const torch::Tensor elsewhere = torch::zeros_like(target);
+  at::Generator random = generator();
+  const double loss =
+      photometric_loss(target, {left, right}, {elsewhere, elsewhere}, random).item<double>();
+  const double one = photometric_loss(target, {left}, {elsewhere}, random).item<double>();
+  EXPECT_LT(loss, 0.25 * one);
+}
+
+TEST(PhotometricLoss, GivesNoGradientWhereNothingMoved) {
+  const torch::Tensor target = torch::rand({1, 3, 16, 16});
+  torch::Tensor warped = torch::rand({1, 3, 16, 16}).requires_grad_();
+  at::Generator random = generator();
+  photometric_loss(target, {warped}, {target}, random).backward();
+  EXPECT_EQ(warped.grad().abs().sum().item<double>(), 0);
+}
+
+// Inverse depth 1, 3 of mean 2: difference 1 after the division; image difference d: exp(-d).
+TEST(SmoothnessLoss, IsTheDivisionByTheMeanAndTheEdgeWeight) {
+  const torch::Tensor inverse = torch::tensor({{1.0F, 3.0F}, {1.0F, 3.0F}}).reshape({1, 1, 2, 2});
+  const torch::Tensor flat = torch::zeros({1, 3, 2, 2});
+  EXPECT_NEAR(smoothness_loss(inverse, flat).item<double>(), 1, 1e-6);
+  torch::Tensor edge = flat.clone();
+  edge.narrow(3, 1, 1).fill_(0.5);
+  EXPECT_NEAR(smoothness_loss(inverse, edge).item<double>(), std::exp(-0.5), 1e-6);
+}
+
+TEST(PoseNet, HasTheSizeOfMonodepth2sAndStartsNearNoMotion) {
+  torch::manual_seed(1);
+  PoseNet net;
+  std::int64_t numbers = 0;
+  for (const torch::Tensor& each : net->parameters()) numbers += each.numel();
+  // ResNet18 without classifier 11,176,512 with 3 channels; + 9,408 for three more; decoder
+  // 131,328 + 2 x 590,080 + 3,084.
+  EXPECT_EQ(numbers, 11'176'512 + 9'408 + 131'328 + 2 * 590'080 + 3'084);
+  net->eval();
+  const Motion motion = net->forward(torch::rand({2, 3, 64, 96}), torch::rand({2, 3, 64, 96}));
+  EXPECT_EQ(motion.axis_angle.sizes(), (torch::IntArrayRef{2, 3}));
+  EXPECT_LT(motion.translation.abs().max().item<double>(), 0.05);
+}
+
+// Depth alone is free: a textured wall at 4 m seen from .2 m apart. The loss must lead the guess
+// from 6 m to the truth, which is the whole of self-supervision.
+TEST(PhotometricLoss, LeadsDepthToTheTruth) {
+  constexpr int kWidth = 96;
+  constexpr int kHeight = 64;
+  torch::manual_seed(4);
+  const Pinholes cameras = pinholes_of({{kWidth, kHeight, 80, 80, 47.5F, 31.5F, true}});
+  namespace F = torch::nn::functional;
+  const torch::Tensor source = F::interpolate(torch::rand({1, 3, 12, 16}),
+                                              F::InterpolateFuncOptions()
+                                                  .size(std::vector<std::int64_t>{kHeight, kWidth})
+                                                  .mode(torch::kBicubic)
+                                                  .align_corners(false));
+  const torch::Tensor motion =
+      rigid_motion(torch::zeros({1, 3}), torch::tensor({{-0.2F, 0.0F, 0.0F}}));
+  const auto view = [&](const torch::Tensor& depth) {
+    return sample_at(source, project(back_project(depth.expand({1, 1, kHeight, kWidth}), cameras),
+                                     motion, cameras));
+  };
+  const torch::Tensor target = view(torch::full({1, 1, 1, 1}, 4.0F));
+  torch::Tensor log_depth = torch::full({1, 1, 1, 1}, std::log(6.0F)).requires_grad_();
+  torch::optim::Adam adam({log_depth}, torch::optim::AdamOptions(0.02));
+  at::Generator random = generator();
+  for (int i = 0; i < 100; ++i) {
+    adam.zero_grad();
+    photometric_loss(target, {view(log_depth.exp())}, {source}, random).backward();
+    adam.step();
+  }
+  EXPECT_NEAR(log_depth.exp().item<double>(), 4, 0.1);
+}
+
+}  // namespace
+}  // namespace lcdm::model
