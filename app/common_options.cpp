@@ -47,9 +47,10 @@ std::string find_default_model() {
 Result<ModelFile> load_model(const Config& config) {
   const std::string file = config.model.file.empty() ? find_default_model() : config.model.file;
   if (file.empty()) {
-    return Status::error(StatusCode::kNotFound,
-                         "no model found beside the program or in /usr/share/lcdm: give one with "
-                         "--model FILE or model.file");
+    return Status::error(
+        StatusCode::kNotFound,
+        "no model found in the clone the program was built in or in /usr/share/lcdm: give one with "
+        "--model FILE or model.file");
   }
   return ModelFile::load(file);
 }
@@ -58,8 +59,9 @@ EngineOptions engine_options(const Config& config) {
   EngineOptions options;
   options.width = config.model.width;
   options.height = config.model.height;
-  options.threads =
-      config.model.threads > 0 ? config.model.threads : std::max(1, os::processor_count() - 1);
+  options.threads = config.model.threads > 0
+                        ? config.model.threads
+                        : std::clamp(os::processor_count() - 1, 1, EngineOptions::kMaxThreads);
   return options;
 }
 

@@ -155,6 +155,20 @@ std::string first_line(const std::string& what) {
   return line;
 }
 
+// Whether lists or tables lie deeper in each other than any configuration needs: the parser below
+// would use the stack for each.
+bool nests_too_deep(const std::string& text) {
+  constexpr int kDeepest = 16;
+  int depth = 0;
+  for (const char c : text) {
+    if (c == '[' || c == '{') ++depth;
+    if (c == ']' || c == '}') --depth;
+    if (c == '\n') depth = std::max(depth, 0);
+    if (depth > kDeepest) return true;
+  }
+  return false;
+}
+
 Status read_file(const std::vector<ConfigField>& fields, const std::string& file) {
   std::error_code error;
   const std::uintmax_t bytes = std::filesystem::file_size(file, error);
@@ -165,6 +179,10 @@ Status read_file(const std::vector<ConfigField>& fields, const std::string& file
   if (bytes > kMaxFileBytes) return fault(file, "larger than 256 KiB: not a configuration");
   try {
     std::ifstream stream(file, std::ios::binary);
+    const std::string text{std::istreambuf_iterator<char>(stream), {}};
+    if (nests_too_deep(text)) return fault(file, "brackets lie too deep in each other");
+    stream.clear();
+    stream.seekg(0);
     const toml::value root = toml::parse(stream, file);
     for (const auto& [section, table] : root.as_table()) {
       LCDM_RETURN_IF_ERROR(read_section(fields, file, section, table));
@@ -217,9 +235,10 @@ Status read_assignment(const std::vector<ConfigField>& fields, const ConfigAssig
 
 Status check_whole(const Config& config) {
   const bool one_missing = (config.model.width == 0) != (config.model.height == 0);
-  if (one_missing || config.model.width % 32 != 0 || config.model.height % 32 != 0) {
+  const bool too_small = config.model.width == 32 || config.model.height == 32;
+  if (one_missing || too_small || config.model.width % 32 != 0 || config.model.height % 32 != 0) {
     return fault("model.width, model.height",
-                 "give both as multiples of 32, or both as 0 to follow the camera's shape");
+                 "give both as multiples of 32 from 64, or both as 0 to follow the camera's shape");
   }
   return Status::ok();
 }

@@ -107,6 +107,7 @@ bool HttpExchange::send_head(int status, std::string_view type, long long length
       "Cross-Origin-Resource-Policy: same-origin\r\n"
       "Referrer-Policy: no-referrer\r\n"
       "X-Content-Type-Options: nosniff\r\n\r\n";
+  begun_ = true;
   return write_text(head);
 }
 
@@ -174,8 +175,9 @@ Status HttpServer::listen() {
   context_ = mg_start(&callbacks, this, settings);
   if (context_ == nullptr) {
     return Status::error(StatusCode::kUnavailable,
-                         "http: cannot listen on %s (%s): stop the program that uses the port, or "
-                         "choose another with --port N or http.port",
+                         "http: cannot listen on %s (%s): stop the program that uses the port or "
+                         "choose another (--port N, http.port), on an address this machine has "
+                         "(--listen, http.listen)",
                          place.c_str(), last_complaint_.c_str());
   }
   mg_server_port ports[4] = {};
@@ -241,6 +243,7 @@ void HttpServer::handle(mg_connection* connection) {
   try {
     answer(connection, exchange);
   } catch (const std::exception& error) {
+    if (exchange.begun()) return;
     exchange.send_text(500, "text/plain; charset=utf-8", std::string(error.what()) + "\n");
   }
 }

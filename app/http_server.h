@@ -26,6 +26,8 @@ class HttpExchange {
                const std::atomic<int>& viewers)
       : connection_(connection), stopping_(stopping), viewers_(viewers) {}
 
+  // Whether an answer has begun: another one would be read as its body.
+  bool begun() const { return begun_; }
   // How many streams the server runs now.
   int viewers() const { return viewers_.load(); }
 
@@ -51,6 +53,7 @@ class HttpExchange {
   mg_connection* connection_;
   const std::atomic<bool>& stopping_;
   const std::atomic<int>& viewers_;
+  bool begun_ = false;
 };
 
 struct HttpRoute {

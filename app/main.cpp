@@ -12,6 +12,8 @@ namespace {
 void quiet_libraries() {
   setenv("OPENCV_LOG_LEVEL", "OFF", 0);       // NOLINT(concurrency-mt-unsafe): no threads yet
   setenv("OPENCV_FFMPEG_LOGLEVEL", "-8", 0);  // NOLINT(concurrency-mt-unsafe): AV_LOG_QUIET
+  // Formats whose headers we do not read ourselves are held to the same size.
+  setenv("OPENCV_IO_MAX_IMAGE_PIXELS", "100000000", 0);  // NOLINT(concurrency-mt-unsafe)
 }
 
 }  // namespace

@@ -23,6 +23,7 @@ constexpr std::size_t kChunkBytes = 8U << 20;
 constexpr std::size_t kChunkMessages = 256;
 constexpr std::size_t kChunks = 4096;  // of a segment: over an hour
 constexpr std::size_t kMessageHead = 256;
+constexpr std::size_t kJpegTables = 65536;
 constexpr int kJpegQuality = 92;  // field data is for training: artefacts would be learned
 constexpr std::uint16_t kImageChannel = 1;
 constexpr std::uint16_t kCalibrationChannel = 2;
@@ -30,8 +31,8 @@ constexpr std::uint16_t kCalibrationChannel = 2;
 std::size_t frame_capacity(const FrameFormat& format) {
   const auto width = static_cast<std::size_t>(format.width);
   const auto height = static_cast<std::size_t>(format.height);
-  // An MJPEG frame larger than its pixels is not worth keeping.
-  return format.pixel == PixelFormat::kMjpeg ? width * height * 2
+  // An MJPEG frame larger than its pixels is not worth keeping; small ones have their tables.
+  return format.pixel == PixelFormat::kMjpeg ? width * height * 2 + kJpegTables
                                              : static_cast<std::size_t>(format.stride) * height;
 }
 
@@ -104,14 +105,13 @@ RecorderStatus Recorder::status() const {
 }
 
 bool Recorder::push(const FrameView& frame) noexcept {
-  if (!recording_ || frame.format != format_) return false;
+  const std::unique_lock lock(push_mutex_, std::try_to_lock);
+  if (!lock || !recording_ || frame.format != format_ || frame.bytes > frame_capacity_) {
+    return false;
+  }
   const auto index = free_.pop();
   if (!index) return false;
   Slot& slot = slots_[*index];
-  if (frame.bytes > slot.pixels.size()) {
-    [[maybe_unused]] const bool kept = free_.push(*index);
-    return false;
-  }
   std::memcpy(slot.pixels.data(), frame.data, frame.bytes);
   slot.view = frame;
   slot.view.data = slot.pixels.data();
@@ -129,16 +129,17 @@ void Recorder::offer(const DepthFrame& frame) noexcept { push_or_drop(frame.colo
 
 // Every buffer of a recording is taken here.
 Status Recorder::prepare_slots(const FrameFormat& format) {
+  const std::lock_guard lock(push_mutex_);
   format_ = format;
-  const std::size_t capacity = frame_capacity(format);
+  frame_capacity_ = frame_capacity(format);
   while (filled_.pop()) continue;
   while (free_.pop()) continue;
   while (work_.try_acquire()) continue;
   for (std::size_t i = 0; i < kSlots; ++i) {
-    slots_[i].pixels.assign(capacity, 0);
+    slots_[i].pixels.assign(frame_capacity_, 0);
     LCDM_CHECK(free_.push(i));
   }
-  jpeg_.resize(capacity + 4096);
+  jpeg_.resize(frame_capacity_ + 4096);
   message_.resize(jpeg_.size() + kMessageHead);
   if (format.pixel == PixelFormat::kMjpeg) return Status::ok();
   return encoder_.prepare(format, kJpegQuality);
@@ -189,7 +190,8 @@ Status Recorder::write(const FrameView& frame) {
     LCDM_RETURN_IF_ERROR(writer_->finish());
     LCDM_RETURN_IF_ERROR(open_segment());
   }
-  if (chunk_begin_ns_ == 0 || now - chunk_begin_ns_ >= kChunkNs) {
+  const bool clock_went_back = now < chunk_begin_ns_;
+  if (chunk_begin_ns_ == 0 || clock_went_back || now - chunk_begin_ns_ >= kChunkNs) {
     LCDM_RETURN_IF_ERROR(writer_->end_chunk());
     chunk_begin_ns_ = now;
     LCDM_RETURN_IF_ERROR(write_calibration(frame.meta));

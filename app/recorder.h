@@ -53,8 +53,10 @@ class Recorder final : public DepthSink {
   void stop();
   RecorderStatus status() const;
 
+  // All slots are waiting for the disk.
+  bool full() const noexcept { return recording_ && free_.empty(); }
   // Copies the frame for writing. False, without blocking, when it was not taken: not recording,
-  // another format, or all slots full.
+  // another format, larger than any slot, or full.
   bool push(const FrameView& frame) noexcept;
   // The same, and a frame not taken while recording counts as dropped.
   void push_or_drop(const FrameView& frame) noexcept;
@@ -104,6 +106,7 @@ class Recorder final : public DepthSink {
 
   // The record thread's while it runs, start()'s before.
   FrameFormat format_;
+  std::size_t frame_capacity_ = 0;
   CameraModel camera_;
   std::string source_;
   FileSink file_;
@@ -119,6 +122,7 @@ class Recorder final : public DepthSink {
   std::string fault_;
 
   std::mutex control_mutex_;  // one start or stop at a time
+  std::mutex push_mutex_;     // held by push, which only tries, and while the slots are made anew
   std::thread thread_;
 };
 

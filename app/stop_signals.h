@@ -1,9 +1,13 @@
 // SIGINT and SIGTERM, taken by the main thread alone and when it asks.
+//
+// They are blocked there and in every thread it makes. A library may have made threads before main
+// (OpenBLAS does), which do not block them: a signal that such a thread takes is sent on to main.
 #pragma once
 
 #include <chrono>
 #include <csignal>
 #include <ctime>
+#include <pthread.h>
 
 namespace lcdm {
 
@@ -15,6 +19,12 @@ class StopSignals {
     sigaddset(&set_, SIGINT);
     sigaddset(&set_, SIGTERM);
     pthread_sigmask(SIG_BLOCK, &set_, nullptr);
+    main_thread() = pthread_self();
+    struct sigaction action {};
+    action.sa_handler = [](int signal) { pthread_kill(main_thread(), signal); };
+    action.sa_flags = SA_RESTART;
+    sigaction(SIGINT, &action, nullptr);
+    sigaction(SIGTERM, &action, nullptr);
   }
 
   // True when one of them came within `time`.
@@ -24,6 +34,11 @@ class StopSignals {
   }
 
  private:
+  static pthread_t& main_thread() {
+    static pthread_t thread;
+    return thread;
+  }
+
   sigset_t set_{};
 };
 

@@ -64,6 +64,11 @@ HttpHeaders depth_headers(const ProductCopy& product) {
           {"X-Frame-Age", age}};
 }
 
+// File names and faults may hold bytes that are no UTF-8: they are replaced.
+std::string text_of(const nlohmann::json& json) {
+  return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
+}
+
 void start_recording(const Service& service, HttpExchange& exchange) {
   const Pipeline::Source source = service.pipeline.source();
   const Status status = service.recorder.start(source.info.uri, source.format, source.model);
@@ -71,12 +76,12 @@ void start_recording(const Service& service, HttpExchange& exchange) {
     exchange.send_text(500, kText, std::string(status.text()) + "\n");
     return;
   }
-  exchange.send_text(200, kJson, service.status(exchange)["recording"].dump() + "\n");
+  exchange.send_text(200, kJson, text_of(service.status(exchange)["recording"]));
 }
 
 void stop_recording(const Service& service, HttpExchange& exchange) {
   service.recorder.stop();
-  exchange.send_text(200, kJson, service.status(exchange)["recording"].dump() + "\n");
+  exchange.send_text(200, kJson, text_of(service.status(exchange)["recording"]));
 }
 
 void send_depth_png(const Service& service, HttpExchange& exchange) {
@@ -147,7 +152,7 @@ void stream_live(const Service& service, HttpExchange& exchange) {
                            {"width", product.camera.width},
                            {"height", product.camera.height}};
     }
-    const std::string json = status.dump();
+    const std::string json = text_of(status);
     const std::size_t jpeg = came ? product.jpeg_bytes : 0;
     const std::size_t depth = came ? product.bytes.size() - jpeg : 0;
     open = exchange.write(live_head(json.size(), jpeg, depth)) && exchange.write_text(json) &&
@@ -180,7 +185,7 @@ std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view, Reco
       route("/depth.png", false, send_depth_png),
       route("/status.json", false,
             [](const Service& s, HttpExchange& exchange) {
-              exchange.send_text(200, kJson, s.status(exchange).dump(2) + "\n");
+              exchange.send_text(200, kJson, text_of(s.status(exchange)));
             }),
       route("/healthz", false, send_health),
       action("/record/start", start_recording),

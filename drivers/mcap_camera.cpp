@@ -14,6 +14,9 @@ namespace {
 
 namespace fs = std::filesystem;
 constexpr std::size_t kMaxJpeg = 16U << 20;
+constexpr int kMaxSide = 8192;
+// Live playback does not sit out longer pauses, nor a clock that was set back.
+constexpr std::int64_t kLongestPauseNs = 2'000'000'000;
 
 Result<std::vector<std::string>> find_segments(const std::string& path) {
   std::error_code error;
@@ -82,7 +85,7 @@ Status McapCamera::start() {
   sequence_ = 0;
   play_origin_ns_ = 0;
   round_delivered_ = false;
-  return open_segment(0);
+  return open_readable_segment(0);
 }
 
 void McapCamera::stop() {
@@ -92,7 +95,10 @@ void McapCamera::stop() {
 
 Result<CapturedFrame> McapCamera::dequeue(std::chrono::milliseconds timeout) {
   if (reader_ == nullptr) {
-    return Status::error(StatusCode::kInvalidInput, "mcap: dequeue before start");
+    return Status::error(StatusCode::kInvalidInput,
+                         "mcap:%s: dequeue before start, or after its "
+                         "file could not be opened",
+                         path_.c_str());
   }
   if (!has_pending_) LCDM_RETURN_IF_ERROR(fetch());
   int index = -1;
@@ -167,6 +173,14 @@ Status McapCamera::open_segment(std::size_t index) {
   return Status::error(status.code(), "mcap:%s: %s", segments_[index].c_str(), status.text());
 }
 
+Status McapCamera::open_readable_segment(std::size_t index) {
+  Status status = open_segment(index);
+  while (status.code() == StatusCode::kCorrupt && ++index < segments_.size()) {
+    status = open_segment(index);
+  }
+  return status;
+}
+
 // The next message of the recording, crossing segments. kEndOfStream behind the last.
 Result<wire::McapMessage> McapCamera::next_message() {
   while (true) {
@@ -174,7 +188,11 @@ Result<wire::McapMessage> McapCamera::next_message() {
     if (message.code() != StatusCode::kEndOfStream || segment_ + 1 == segments_.size()) {
       return message;
     }
-    LCDM_RETURN_IF_ERROR(open_segment(segment_ + 1));
+    const Status status = open_readable_segment(segment_ + 1);
+    if (status.code() == StatusCode::kCorrupt) {
+      return Status::error(StatusCode::kEndOfStream, "%s", status.text());
+    }
+    LCDM_RETURN_IF_ERROR(status);
   }
 }
 
@@ -186,7 +204,7 @@ Status McapCamera::fetch() {
         round_delivered_) {
       play_origin_ns_ = 0;
       round_delivered_ = false;
-      LCDM_RETURN_IF_ERROR(open_segment(0));
+      LCDM_RETURN_IF_ERROR(open_readable_segment(0));
       continue;
     }
     if (!message) return message.status();
@@ -204,6 +222,8 @@ Status McapCamera::fetch() {
                            segments_[segment_].c_str());
     }
     pending_.assign(image->bytes.begin(), image->bytes.end());
+    const std::int64_t step = image->unix_ns - pending_meta_.unix_ns;
+    if (step < 0 || step > kLongestPauseNs) play_origin_ns_ = 0;
     pending_meta_ = {};
     pending_meta_.unix_ns = image->unix_ns;
     has_pending_ = true;
@@ -223,6 +243,11 @@ Status McapCamera::inspect_first_frame(float assumed_field_of_view) {
   if (format_.width <= 0 || format_.height <= 0) {
     return Status::error(StatusCode::kCorrupt, "mcap:%s: its first picture is no valid JPEG",
                          path_.c_str());
+  }
+  if (format_.width > kMaxSide || format_.height > kMaxSide) {
+    return Status::error(StatusCode::kUnsupported,
+                         "mcap:%s: pictures of %dx%d: at most %d pixels a side can be used",
+                         path_.c_str(), format_.width, format_.height, kMaxSide);
   }
   if (!has_calibration_) {
     model_ = CameraModel::from_field_of_view(format_.width, format_.height, assumed_field_of_view);

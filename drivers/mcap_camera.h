@@ -43,6 +43,9 @@ class McapCamera final : public Camera {
   };
 
   Status open_segment(std::size_t index);
+  // The first segment from `index` on that can be opened: a power cut leaves broken ones. The last
+  // one's fault where none can.
+  Status open_readable_segment(std::size_t index);
   Result<wire::McapMessage> next_message();
   Status fetch();
   Status inspect_first_frame(float assumed_field_of_view);
@@ -62,8 +65,8 @@ class McapCamera final : public Camera {
   std::vector<std::byte> pending_;  // the next frame's JPEG, waiting for its time
   bool has_pending_ = false;
   FrameMeta pending_meta_;
-  std::int64_t recorded_origin_ns_ = 0;  // Unix time of the first frame of this round
-  std::int64_t play_origin_ns_ = 0;      // MONOTONIC time at which it was due
+  std::int64_t recorded_origin_ns_ = 0;  // Unix time of the first frame of this stretch
+  std::int64_t play_origin_ns_ = 0;      // MONOTONIC time at which it was due; 0: not yet known
   std::uint64_t sequence_ = 0;
   bool round_delivered_ = false;  // this round through the recording gave at least one frame
 };

@@ -134,7 +134,8 @@ void print_text(const BenchResult& result) {
 
 Status parse_size(const std::string& text, EngineOptions& options) {
   char rest = 0;
-  if (std::sscanf(text.c_str(), "%5dx%5d%c", &options.width, &options.height, &rest) == 2) {
+  if (std::sscanf(text.c_str(), "%5dx%5d%c", &options.width, &options.height, &rest) == 2 &&
+      options.width > 0 && options.height > 0) {
     return Status::ok();
   }
   return Status::error(StatusCode::kInvalidInput, "--size %s: write it as WIDTHxHEIGHT, as 640x192",

@@ -2,6 +2,7 @@
 #include <array>
 #include <chrono>
 #include <cstdio>
+#include <cstring>
 #include <filesystem>
 #include <memory>
 #include <span>
@@ -194,9 +195,25 @@ Status make_directory(const std::string& path) {
                        path.c_str());
 }
 
+// The files of a folder of images would be overwritten by their own depth.
+Status check_not_the_source(const InferOptions& options) {
+  constexpr const char* kScheme = "file:";
+  if (options.source.rfind(kScheme, 0) != 0) return Status::ok();
+  std::filesystem::path source = options.source.substr(std::strlen(kScheme));
+  std::error_code error;
+  if (!std::filesystem::is_directory(source, error)) source = source.parent_path();
+  if (source.empty()) source = ".";
+  if (!std::filesystem::equivalent(source, options.output, error)) return Status::ok();
+  return Status::error(StatusCode::kInvalidInput,
+                       "--output %s is the source's own folder: its files would be overwritten; "
+                       "give another",
+                       options.output.c_str());
+}
+
 int infer(const InferOptions& options) {
   const Result<Config> config = options.common.load();
   if (!config) return report_unusable(config.status());
+  if (const Status status = check_not_the_source(options); !status) return report_unusable(status);
   const Result<ModelFile> model = load_model(*config);
   if (!model) return report_unusable(model.status());
   Result<OpenedSource> source = open_source(options.source, Playback::kOffline);

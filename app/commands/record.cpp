@@ -3,7 +3,6 @@
 #include <cstdio>
 #include <memory>
 #include <string>
-#include <thread>
 
 #include "app/commands/commands.h"
 #include "app/common_options.h"
@@ -39,15 +38,14 @@ Result<Config> load(const RecordOptions& options) {
   return options.common.load(std::move(more));
 }
 
-// A frame of a file waits for its turn; one of a camera is lost when the disk is too slow.
-void take(Recorder& recorder, const FrameView& frame, bool live) {
-  if (live) {
-    recorder.push_or_drop(frame);
-    return;
+// A frame of a file waits for its turn; one of a camera is lost when the disk is too slow. False
+// when a signal came while it waited.
+bool take(Recorder& recorder, const FrameView& frame, bool live, const StopSignals& signals) {
+  while (!live && recorder.full()) {
+    if (signals.wait_for(milliseconds(1))) return false;
   }
-  while (recorder.status().recording && !recorder.push(frame)) {
-    std::this_thread::sleep_for(milliseconds(1));
-  }
+  recorder.push_or_drop(frame);
+  return true;
 }
 
 // Until a signal, the time is over, the source ends or fails, or the recording does.
@@ -58,8 +56,9 @@ Status record_frames(Camera& camera, Recorder& recorder, bool live, double secon
   while (os::monotonic_ns() < end && !signals.wait_for(milliseconds(0))) {
     const auto frame = camera.dequeue(kDequeueTimeout);
     if (frame) {
-      take(recorder, frame->view, live);
+      const bool go_on = take(recorder, frame->view, live, signals);
       LCDM_RETURN_IF_ERROR(camera.requeue(frame->index));
+      if (!go_on) break;
     } else if (frame.code() == StatusCode::kEndOfStream) {
       break;
     } else if (frame.code() != StatusCode::kTimeout && frame.code() != StatusCode::kCorrupt) {

@@ -109,7 +109,7 @@ int run(const RunOptions& options) {
   Pipeline pipeline(*source->camera, engine_factory(*config, std::move(*model)), &decoder,
                     {&view, &recorder}, pipeline_options);
 
-  // The port first: it fails at once, before a camera is opened.
+  // The port before the pipeline: what cannot be shown need not start.
   HttpOptions http;
   http.listen = config->http.listen;
   http.port = config->http.port;

@@ -30,6 +30,11 @@ class SpscRing {
     return item;
   }
 
+  // Of the moment; exact only on the consumer's thread.
+  bool empty() const {
+    return head_.load(std::memory_order_acquire) == tail_.load(std::memory_order_acquire);
+  }
+
  private:
   std::array<T, kCapacity> items_{};
   alignas(64) std::atomic<std::size_t> head_{0};  // next to pop

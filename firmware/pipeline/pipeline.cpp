@@ -165,6 +165,7 @@ void Pipeline::close_camera() {
 // Ends within one inference: the infer thread never holds a frame longer.
 void Pipeline::wait_until_nothing_is_lent() {
   while (pool_->count(FramePool::State::kLent) > 0) {
+    if (stopping_) mailbox_.clear();  // infer may have ended and take it no more
     health_.beat_capture(os::monotonic_ns());
     std::this_thread::sleep_for(milliseconds(2));
   }

@@ -124,7 +124,7 @@ Status McapReader::add_schema(std::span<const std::byte> body) {
   ByteReader reader(body);
   const std::uint16_t id = reader.u16();
   const std::string_view name = reader.string();
-  if (!reader.ok()) return corrupt("schema");
+  if (!reader.ok() || name.size() > kMaxName) return corrupt("schema");
   const bool known = std::any_of(schemas_.begin(), schemas_.end(),
                                  [&](const Schema& schema) { return schema.id == id; });
   if (known) return Status::ok();
@@ -138,7 +138,7 @@ Status McapReader::add_channel(std::span<const std::byte> body) {
   const std::uint16_t id = reader.u16();
   const std::uint16_t schema_id = reader.u16();
   const std::string_view topic = reader.string();
-  if (!reader.ok()) return corrupt("channel");
+  if (!reader.ok() || topic.size() > kMaxName) return corrupt("channel");
   const bool known = std::any_of(channels_.begin(), channels_.end(),
                                  [&](const Channel& channel) { return channel.id == id; });
   if (known) return Status::ok();

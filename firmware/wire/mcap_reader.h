@@ -30,6 +30,7 @@ class McapReader {
  public:
   static constexpr std::uint64_t kMaxRecord = 64ULL << 20;  // bytes of one record
   static constexpr std::size_t kMaxChannels = 1024;
+  static constexpr std::size_t kMaxName = 1024;  // bytes of a topic or of a schema's name
 
   explicit McapReader(ReadBytes read) : read_(std::move(read)) {}
 

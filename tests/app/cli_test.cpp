@@ -286,6 +286,49 @@ TEST_F(Cli, InferRefusesAFolderItCannotWrite) {
                  1, "below_a_file");
 }
 
+TEST_F(Cli, InferRefusesToOverwriteItsOwnPictures) {
+  const fs::path images = make_images();
+  for (const fs::path& source : {images, images / "wide.png"}) {
+    expect_refusal(
+        small({"infer", "--source", "file:" + source.string(), "--output", images.string()}), 78,
+        "its files would be overwritten");
+  }
+}
+
+// Libraries have made threads before main: the signal must not end the program through them.
+TEST_F(Cli, RecordEndsWithAWholeFileWhenItIsToldTo) {
+  for (const int signal : {SIGTERM, SIGINT}) {
+    const fs::path out = folder_ / std::to_string(signal);
+    Program program(LCDM_PROGRAM, {"record", "--source", "scene:", "--output", out.string()});
+    ASSERT_TRUE(program.wait_for("file    ")) << program.text();
+    std::this_thread::sleep_for(std::chrono::milliseconds(500));
+    kill(program.pid(), signal);
+    EXPECT_EQ(program.wait(), 0) << program.text();
+    EXPECT_THAT(program.text(), ContainsRegex("[1-9][0-9]* frames"));
+  }
+}
+
+// Only frames of the first one's size can be recorded; the others are lost, not waited for.
+TEST_F(Cli, RecordDropsPicturesOfAnotherSize) {
+  const Outcome outcome = lcdm({"record", "--source", "file:" + make_images().string(), "--output",
+                                (folder_ / "out").string()});
+  EXPECT_EQ(outcome.status, 0) << outcome.text;
+  EXPECT_THAT(outcome.text, HasSubstr("1 frames"));
+  EXPECT_THAT(outcome.text, HasSubstr("1 dropped"));
+}
+
+TEST_F(Cli, StatusSurvivesAFileNameThatIsNoUtf8) {
+  const fs::path picture = folder_ / "caf\xe9.png";
+  cv::imwrite(picture.string(), cv::Mat(60, 90, CV_8UC3, {40, 80, 120}));
+  Program program(LCDM_PROGRAM,
+                  small({"run", "--source", "file:" + picture.string(), "--port", "0"}));
+  ASSERT_TRUE(program.wait_for("streaming")) << program.text();
+  const std::size_t at = program.text().find("http://127.0.0.1:") + 17;
+  const std::string answer = test::get(std::stoi(program.text().substr(at)), "/status.json");
+  EXPECT_THAT(answer, StartsWith("HTTP/1.1 200 "));
+  EXPECT_THAT(answer, HasSubstr("caf"));
+}
+
 TEST_F(Cli, BenchPrintsTheKeysThatScriptsRead) {
   const Outcome outcome =
       lcdm({"bench", "--json", "--size", "96x64", "--threads", "2", "--model", model_.string()});

@@ -187,5 +187,15 @@ TEST(ConfigAssignment, NamesWhatIsWrong) {
   EXPECT_THAT(assign("=").text(), HasSubstr("section.key=value"));
 }
 
+TEST_F(ConfigFile, BracketsWithoutEndAreRefusedBeforeTheyEatTheStack) {
+  EXPECT_THAT(error_of("[camera]\nwidth = " + std::string(100'000, '[')),
+              HasSubstr("too deep in each other"));
+}
+
+TEST_F(ConfigFile, ANetworkSmallerThanItCanBeIsRefused) {
+  const auto config = load_config({write("[model]\nwidth = 32\nheight = 32\n"), {}, {}});
+  EXPECT_EQ(config.code(), StatusCode::kInvalidInput);
+}
+
 }  // namespace
 }  // namespace lcdm

@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 #include <string>
@@ -117,6 +118,42 @@ TEST_F(RecorderTest, ARecordingPlaysBackAsASourceWithItsStampsAndIntrinsics) {
     const auto played = camera.dequeue(milliseconds(500));
     ASSERT_TRUE(played) << played.status().text();
     EXPECT_EQ(played->view.meta.unix_ns, kFirstStamp + i * kPeriod);
+    ASSERT_TRUE(camera.requeue(played->index));
+  }
+  EXPECT_EQ(camera.dequeue(milliseconds(10)).code(), StatusCode::kEndOfStream);
+}
+
+// Record, stop, record an hour later into the same folder: played live, the hour is skipped.
+TEST_F(RecorderTest, LivePlaybackSkipsTheTimeBetweenTwoRecordings) {
+  Recorder recorder(options());
+  for (const int first : {0, 36'000}) {
+    ASSERT_TRUE(recorder.start("scene:1", kFormat, kCamera));
+    for (int i = 0; i < 3; ++i) EXPECT_TRUE(recorder.push(frame(first + i)));
+    recorder.stop();
+    std::this_thread::sleep_for(milliseconds(2));  // segments are named by the millisecond
+  }
+  McapCamera camera(folder_.string(), McapCamera::Playback::kLive);
+  ASSERT_TRUE(camera.configure({}));
+  ASSERT_TRUE(camera.start());
+  for (int i = 0; i < 6; ++i) {
+    const auto played = camera.dequeue(milliseconds(1000));
+    ASSERT_TRUE(played) << i << ": " << played.status().text();
+    ASSERT_TRUE(camera.requeue(played->index));
+  }
+}
+
+TEST_F(RecorderTest, ASegmentThatAPowerCutLeftEmptyIsPassedOver) {
+  Recorder recorder(options());
+  record(recorder, 3);
+  std::ofstream(folder_ / "lcdm-0.mcap").flush();    // sorts first
+  std::ofstream(folder_ / "lcdm-zzz.mcap").flush();  // and last
+  McapCamera camera(folder_.string(), McapCamera::Playback::kOffline);
+  const Status configured = camera.configure({});
+  ASSERT_TRUE(configured) << configured.text();
+  ASSERT_TRUE(camera.start());
+  for (int i = 0; i < 3; ++i) {
+    const auto played = camera.dequeue(milliseconds(500));
+    ASSERT_TRUE(played) << played.status().text();
     ASSERT_TRUE(camera.requeue(played->index));
   }
   EXPECT_EQ(camera.dequeue(milliseconds(10)).code(), StatusCode::kEndOfStream);

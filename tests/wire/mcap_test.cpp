@@ -223,6 +223,18 @@ TEST(McapReader, RefusesWhatIsNoMcapFile) {
   EXPECT_EQ(read_all({}).errors, 1);
 }
 
+// Each of many channels would keep a copy of its schema's name.
+TEST(McapReader, RefusesANameThatIsLongerThanNames) {
+  const std::string name(2000, 'x');
+  const McapChannel channels[] = {{"/camera/image", name, {}}, {}};
+  MemorySink sink;
+  McapWriter writer(8192, 64, 64);
+  ASSERT_TRUE(writer.begin(sink, channels, {}));
+  ASSERT_TRUE(writer.finish());
+  const Reading reading = read_all(sink.data);
+  EXPECT_GT(reading.errors, 0);
+}
+
 TEST(McapReader, SurvivesTenThousandDamagedFiles) {
   const MemorySink sink = record_pictures(4);
   std::mt19937 random(7);
