@@ -34,19 +34,19 @@ double AdamW::clip(double limit) {
   return norm;
 }
 
-void AdamW::step(double learning_rate) {
+void AdamW::step(const std::function<double(const std::string&)>& rate_of) {
   const torch::NoGradGuard no_grad;
-  ++steps_;
-  const double correction1 = 1 - std::pow(kBeta1, static_cast<double>(steps_));
-  const double correction2 = std::sqrt(1 - std::pow(kBeta2, static_cast<double>(steps_)));
   for (Slot& slot : slots_) {
     const torch::Tensor gradient = slot.parameter.grad();
     if (!gradient.defined()) continue;
-    if (slot.parameter.dim() > 1) slot.parameter.mul_(1 - learning_rate * weight_decay_);
+    const double rate = rate_of(slot.name);
+    const auto steps = static_cast<double>(++slot.steps);
+    if (slot.parameter.dim() > 1) slot.parameter.mul_(1 - rate * weight_decay_);
     slot.mean.mul_(kBeta1).add_(gradient, 1 - kBeta1);
     slot.square.mul_(kBeta2).addcmul_(gradient, gradient, 1 - kBeta2);
-    const torch::Tensor scale = slot.square.sqrt().div_(correction2).add_(kEpsilon);
-    slot.parameter.addcdiv_(slot.mean, scale, -learning_rate / correction1);
+    const torch::Tensor scale =
+        slot.square.sqrt().div_(std::sqrt(1 - std::pow(kBeta2, steps))).add_(kEpsilon);
+    slot.parameter.addcdiv_(slot.mean, scale, -rate / (1 - std::pow(kBeta1, steps)));
   }
 }
 
@@ -54,8 +54,8 @@ void AdamW::save(std::map<std::string, torch::Tensor>& tensors) const {
   for (const Slot& slot : slots_) {
     tensors["adam.mean." + slot.name] = slot.mean;
     tensors["adam.square." + slot.name] = slot.square;
+    tensors["adam.steps." + slot.name] = torch::tensor({slot.steps}, torch::kLong);
   }
-  tensors["adam.steps"] = torch::tensor({steps_}, torch::kLong);
 }
 
 bool AdamW::load(const std::map<std::string, torch::Tensor>& tensors) {
@@ -66,12 +66,13 @@ bool AdamW::load(const std::map<std::string, torch::Tensor>& tensors) {
     return true;
   };
   for (Slot& slot : slots_) {
-    if (!copy("adam.mean." + slot.name, slot.mean)) return false;
-    if (!copy("adam.square." + slot.name, slot.square)) return false;
+    torch::Tensor steps = torch::zeros({1}, torch::kLong);
+    if (!copy("adam.mean." + slot.name, slot.mean) ||
+        !copy("adam.square." + slot.name, slot.square) || !copy("adam.steps." + slot.name, steps)) {
+      return false;
+    }
+    slot.steps = steps.item<std::int64_t>();
   }
-  torch::Tensor steps = torch::zeros({1}, torch::kLong);
-  if (!copy("adam.steps", steps)) return false;
-  steps_ = steps.item<std::int64_t>();
   return true;
 }
 

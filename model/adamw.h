@@ -1,6 +1,7 @@
 // AdamW (arXiv 1711.05101) with its state in reach, so that a checkpoint resumes bit-exactly.
 #pragma once
 
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
@@ -16,9 +17,11 @@ class AdamW {
 
   // Scales all gradients so that their common norm is at most `limit`; returns the norm before.
   double clip(double limit);
-  void step(double learning_rate);
+  // Parameters without a gradient stay as they are. `rate_of` gives a parameter's learning rate by
+  // its name.
+  void step(const std::function<double(const std::string&)>& rate_of);
 
-  // Moments by parameter name, and the number of steps, under `adam.`.
+  // Moments and number of steps by parameter name, under `adam.`.
   void save(std::map<std::string, torch::Tensor>& tensors) const;
   // False where a tensor is missing or of another shape.
   bool load(const std::map<std::string, torch::Tensor>& tensors);
@@ -29,10 +32,10 @@ class AdamW {
     torch::Tensor parameter;
     torch::Tensor mean;
     torch::Tensor square;
+    std::int64_t steps = 0;  // its own: some parameters join late
   };
   std::vector<Slot> slots_;
   double weight_decay_;
-  std::int64_t steps_ = 0;
 };
 
 }  // namespace lcdm::model

@@ -84,7 +84,9 @@ torch::Tensor normalised(const cv::Mat& rgb) {
   return torch::from_blob(out.data, {out.rows, out.cols, 3}, torch::kFloat32).clone();
 }
 
-AugmentedSample augment(const PackFrame& frame, const BatchShape& shape, SampleRandom& random) {
+AugmentedSample augment(const Pack& pack, std::size_t index, const BatchShape& shape,
+                        SampleRandom& random) {
+  const PackFrame& frame = pack.frames[index];
   const double aspect =
       static_cast<double>(shape.width) / shape.height * random.uniform(0.88, 1.14);
   const cv::Rect crop = random_crop(frame.rgb.size(), aspect, random);
@@ -98,46 +100,94 @@ AugmentedSample augment(const PackFrame& frame, const BatchShape& shape, SampleR
   cut.cy -= static_cast<float>(crop.y);
   out.camera = cut.resized(size.width, size.height);
 
-  cv::Mat rgb;
-  cv::resize(frame.rgb(crop), rgb, size, 0, 0,
-             crop.width > size.width ? cv::INTER_AREA : cv::INTER_LINEAR);
-  rgb.convertTo(out.rgb, CV_32FC3, 1.0 / 255);
+  const auto cut_out = [&](const cv::Mat& picture) {
+    cv::Mat rgb;
+    cv::resize(picture(crop), rgb, size, 0, 0,
+               crop.width > size.width ? cv::INTER_AREA : cv::INTER_LINEAR);
+    rgb.convertTo(rgb, CV_32FC3, 1.0 / 255);
+    return rgb;
+  };
+  out.plain = cut_out(frame.rgb);
+  out.rgb = out.plain.clone();
   jitter_colour(out.rgb, random);
   cv::resize(frame.depth(crop), out.depth, size, 0, 0, cv::INTER_NEAREST);
   out.depth *= shape.canonical_focal / out.camera.fx;
+  if (shape.views && pack.has_neighbours(index)) {
+    out.earlier = cut_out(pack.frames[index - 1].rgb);
+    out.later = cut_out(pack.frames[index + 1].rgb);
+  }
   if (random.chance(0.5)) {
-    cv::flip(out.rgb, out.rgb, 1);
-    cv::flip(out.depth, out.depth, 1);
+    for (cv::Mat* picture : {&out.rgb, &out.plain, &out.depth, &out.earlier, &out.later}) {
+      if (!picture->empty()) cv::flip(*picture, *picture, 1);
+    }
     out.camera.cx = static_cast<float>(size.width - 1) - out.camera.cx;
   }
   return out;
 }
 
+namespace {
+
+// [H, W, channels] -> [channels, H, W], its own memory.
+torch::Tensor planes_of(const cv::Mat& picture) {
+  return torch::from_blob(picture.data, {picture.rows, picture.cols, picture.channels()},
+                          torch::kFloat32)
+      .permute({2, 0, 1})
+      .clone(torch::MemoryFormat::Contiguous);
+}
+
+void add_views(const AugmentedSample& sample, std::int64_t i, Views& views) {
+  const bool present = !sample.earlier.empty();
+  views.here[i] = planes_of(sample.plain);
+  views.earlier[i] = planes_of(present ? sample.earlier : sample.plain);
+  views.later[i] = planes_of(present ? sample.later : sample.plain);
+  views.present[i] = present ? 1.0F : 0.0F;
+}
+
+}  // namespace
+
 Batch make_batch(const std::vector<Pack>& packs, const BatchShape& shape, std::uint64_t seed,
                  std::uint64_t step) {
-  std::vector<torch::Tensor> rgb;
-  std::vector<torch::Tensor> depth;
   const auto n = static_cast<std::int64_t>(shape.images);
-  Target target;
+  const std::vector<std::int64_t> colours = {n, 3, shape.height, shape.width};
+  std::vector<CameraModel> cameras;
+  std::vector<torch::Tensor> rgb;
+  Batch batch;
+  Target& target = batch.target;
+  target.depth = torch::empty({n, 1, shape.height, shape.width});
   target.weight = torch::zeros({n});
   target.sharp = torch::zeros({n});
   target.reliable = torch::zeros({n}, torch::kBool);
+  if (shape.views) {
+    batch.views = {torch::empty(colours), torch::empty(colours), torch::empty(colours),
+                   torch::zeros({n})};
+  }
   for (std::int64_t i = 0; i < n; ++i) {
     SampleRandom random(seed, step, static_cast<std::uint64_t>(i));
     const Pack& pack = draw_pack(packs, shape.wide, random);
-    const PackFrame& frame = pack.frames[pack.train[random.below(pack.train.size())]];
-    const AugmentedSample sample = augment(frame, shape, random);
+    const std::size_t index = pack.train[random.below(pack.train.size())];
+    const AugmentedSample sample = augment(pack, index, shape, random);
     const bool sensor = pack.use.teacher == PackUse::Teacher::kSensor;
     rgb.push_back(normalised(sample.rgb));
-    depth.push_back(
-        torch::from_blob(sample.depth.data, {1, shape.height, shape.width}, torch::kFloat32)
-            .clone());
+    cameras.push_back(sample.camera);
+    target.depth[i] = planes_of(sample.depth);
     target.weight[i] = pack.use.weight;
     target.sharp[i] = sensor ? 1.0F : 0.0F;
     target.reliable[i] = sensor;
+    if (shape.views) add_views(sample, i, batch.views);
   }
-  target.depth = torch::stack(depth);
-  return {torch::stack(rgb).permute({0, 3, 1, 2}), target};
+  batch.rgb = torch::stack(rgb).permute({0, 3, 1, 2});
+  batch.cameras = pinholes_of(cameras);
+  return batch;
+}
+
+Batch Batch::part(std::int64_t first, std::int64_t count) const {
+  const auto cut = [&](const torch::Tensor& all) {
+    return all.defined() ? all.narrow(0, first, count) : all;
+  };
+  return {cut(rgb),
+          {cut(cameras.fx), cut(cameras.fy), cut(cameras.cx), cut(cameras.cy)},
+          {cut(target.depth), cut(target.weight), cut(target.sharp), cut(target.reliable)},
+          {cut(views.here), cut(views.earlier), cut(views.later), cut(views.present)}};
 }
 
 BatchLoader::BatchLoader(const std::vector<Pack>& packs, std::vector<BatchShape> shapes,

@@ -24,11 +24,7 @@ struct BatchShape {
   float canonical_focal = 0;
   int images = 0;
   bool wide = false;
-};
-
-struct Batch {
-  torch::Tensor rgb;  // [B, 3, H, W], normalised, channels-last
-  Target target;
+  bool views = false;  // with the neighbouring frames
 };
 
 // Random numbers of one sample; the same on every machine.
@@ -48,12 +44,17 @@ class SampleRandom {
 torch::Tensor normalised(const cv::Mat& rgb);
 
 struct AugmentedSample {
-  cv::Mat rgb;         // CV_32FC3 in [0, 1]
+  cv::Mat rgb;         // CV_32FC3 in [0, 1], jittered
+  cv::Mat plain;       // the same without jitter
+  cv::Mat earlier;     // the frame before and the frame after, cut and flipped alike; empty where
+  cv::Mat later;       // the shape asks for no views or there are none
   cv::Mat depth;       // CV_32FC1, canonical, 0 = unknown
   CameraModel camera;  // of the crop at its new size, flipped
 };
-// Random crop (50 to 100 % of the largest of about the shape's aspect), flip, colour jitter.
-AugmentedSample augment(const PackFrame& frame, const BatchShape& shape, SampleRandom& random);
+// Frame `index` of the pack under a random crop (50 to 100 % of the largest of about the shape's
+// aspect), flip and colour jitter.
+AugmentedSample augment(const Pack& pack, std::size_t index, const BatchShape& shape,
+                        SampleRandom& random);
 
 // Batch number `step`: packs drawn by their share for the shape.
 Batch make_batch(const std::vector<Pack>& packs, const BatchShape& shape, std::uint64_t seed,

@@ -189,7 +189,8 @@ Status run(const Options& options) {
     for (const Runner& runner : runners) {
       const std::optional<Timing> timing = runner.run(options.frames);
       if (!timing) {
-        return Status::error(StatusCode::kUnavailable, "%s gave no answer in round %d",
+        return Status::error(StatusCode::kUnavailable,
+                             "'%s' gave no answer in round %d: run it by hand and type 1",
                              runner.name.c_str(), r);
       }
       round.push_back(*timing);

@@ -69,7 +69,14 @@ void evaluate_pack(const Options& options, const Pack& pack, const std::vector<s
   }
 }
 
+Status no_such_pack(const Options& options) {
+  return Status::error(StatusCode::kInvalidInput,
+                       "--only %s: no pack of this name among the %s packs", options.pack.c_str(),
+                       options.test ? "test" : "training");
+}
+
 Status evaluate_all(const Options& options, const std::vector<Candidate>& candidates) {
+  bool found = options.pack.empty();
   std::printf(
       "| pack | estimate | images | AbsRel | SqRel | RMSE | RMSElog | d1 | d2 | d3 |\n"
       "|---|---|---|---|---|---|---|---|---|---|\n");
@@ -78,19 +85,21 @@ Status evaluate_all(const Options& options, const std::vector<Candidate>& candid
     if (!packs) return packs.status();
     for (const Pack& pack : *packs) {
       if (!options.pack.empty() && pack.use.name != options.pack) continue;
+      found = true;
       evaluate_pack(options, pack, pack.validation, candidates);
     }
-    return Status::ok();
+    return found ? Status::ok() : no_such_pack(options);
   }
   for (const PackUse& use : test_packs()) {
     if (!options.pack.empty() && use.name != options.pack) continue;
+    found = true;
     const Result<Pack> pack = load_pack(options.data.root, use, 1 << 14, 1);
     if (!pack) return pack.status();
     std::vector<std::size_t> all(pack->frames.size());
     for (std::size_t i = 0; i < all.size(); ++i) all[i] = i;
     evaluate_pack(options, *pack, all, candidates);
   }
-  return Status::ok();
+  return found ? Status::ok() : no_such_pack(options);
 }
 
 Status run(const Options& options) {

@@ -2,6 +2,7 @@
 
 #include "firmware/nn/sampler.h"
 #include "model/depth_code.h"
+#include "model/self_supervision.h"
 
 namespace lcdm::model {
 namespace {
@@ -27,16 +28,15 @@ torch::Tensor distillation_loss(const torch::Tensor& log_depth, const torch::Ten
 }  // namespace
 
 Losses Losses::times(double factor) const {
-  return {total * factor, distillation * factor, denoising * factor, gradient * factor,
-          direct * factor};
+  Losses out = *this;
+  out.total = total * factor;
+  for (double& term : out.terms) term *= factor;
+  return out;
 }
 
 void Losses::add(const Losses& other) {
   total = total.detach() + other.total.detach();
-  distillation += other.distillation;
-  denoising += other.denoising;
-  gradient += other.gradient;
-  direct += other.direct;
+  for (std::size_t i = 0; i < terms.size(); ++i) terms[i] += other.terms[i];
 }
 
 torch::Tensor masked_mean(const torch::Tensor& error, const torch::Tensor& mask,
@@ -124,10 +124,96 @@ torch::Tensor denoising_loss(DepthNetwork& network, const torch::Tensor& conditi
   return masked_mean((out - wanted).square(), mask, weight);
 }
 
-Losses training_losses(DepthNetwork& network, const torch::Tensor& rgb, const Target& target,
-                       const LossWeights& weights, Part part, at::Generator& generator) {
+torch::Tensor normal_loss(const torch::Tensor& depth, const torch::Tensor& target_depth,
+                          const torch::Tensor& mask, const torch::Tensor& weight,
+                          const Pinholes& cameras, PresetKind preset) {
+  const int size = preset == PresetKind::kLcdm ? 5 : 9;
+  const int dilation = preset == PresetKind::kLcdm ? 1 : 4;
+  const Normals student = surface_normals(depth, mask, cameras, size, dilation);
+  const Normals teacher = surface_normals(target_depth, mask, cameras, size, dilation);
+  const torch::Tensor error = (student.direction - teacher.direction).square().sum(1, true);
+  return masked_mean(error, teacher.valid, weight);
+}
+
+namespace {
+
+// The losses of one estimate of the batch's depth.
+class DepthLosses {
+ public:
+  DepthLosses(TrainedNetworks& networks, const Batch& batch, const LossWeights& weights,
+              const torch::Tensor& log_target)
+      : networks_(networks),
+        config_(networks->depth->config),
+        batch_(batch),
+        weights_(weights),
+        mask_(batch.target.depth > 0),
+        log_target_(log_target) {}
+
+  // The weighted sum over `variable`; the terms are noted in `losses`.
+  torch::Tensor of(const torch::Tensor& variable, Losses& losses, at::Generator& generator) const {
+    const Target& target = batch_.target;
+    const torch::Tensor log_depth = log_depth_of_variable(variable, config_);
+    torch::Tensor total = torch::zeros({});
+    const auto take = [&](Term term, double weight, const torch::Tensor& loss) {
+      total = total + weight * loss;
+      losses[term] = loss.item<double>();
+    };
+    take(Term::kDistillation, weights_.distillation,
+         distillation_loss(log_depth, log_target_, mask_, target.weight, config_.preset));
+    if (weights_.gradient > 0) {
+      take(Term::kGradient, weights_.gradient,
+           gradient_loss(log_depth, log_target_, mask_, target.weight * target.sharp));
+    }
+    if (weights_.normals > 0) {
+      take(Term::kNormals, weights_.normals,
+           normal_loss(log_depth.exp(), log_target_.exp(), mask_, target.weight, batch_.cameras,
+                       config_.preset));
+    }
+    if (weights_.smoothness > 0) {
+      take(Term::kSmoothness, weights_.smoothness,
+           smoothness_loss(torch::exp(-log_depth), batch_.views.here));
+    }
+    if (weights_.photometric > 0) {
+      take(Term::kPhotometric, weights_.photometric, photometric(log_depth.exp(), generator));
+    }
+    return total;
+  }
+
+ private:
+  // PoseNet sees the pictures at half size: it is most of a step's cost otherwise.
+  torch::Tensor photometric(const torch::Tensor& depth, at::Generator& generator) const {
+    const Views& views = batch_.views;
+    const auto small = [](const torch::Tensor& picture) {
+      return torch::avg_pool2d((picture - 0.45) / 0.225, 2);
+    };
+    const Motion before = networks_->pose->forward(small(views.earlier), small(views.here));
+    const Motion after = networks_->pose->forward(small(views.here), small(views.later));
+    const torch::Tensor points = back_project(depth, batch_.cameras);
+    const auto seen = [&](const torch::Tensor& picture, const Motion& motion, bool inverse) {
+      const torch::Tensor to = rigid_motion(motion.axis_angle, motion.translation, inverse);
+      return sample_at(picture, project(points, to, batch_.cameras));
+    };
+    return photometric_loss(views.here,
+                            {seen(views.earlier, before, true), seen(views.later, after, false)},
+                            {views.earlier, views.later}, views.present, generator);
+  }
+
+  TrainedNetworks& networks_;
+  const ModelConfig& config_;
+  const Batch& batch_;
+  const LossWeights& weights_;
+  torch::Tensor mask_;
+  torch::Tensor log_target_;
+};
+
+}  // namespace
+
+Losses training_losses(TrainedNetworks& networks, const Batch& batch, const LossWeights& weights,
+                       Part part, at::Generator& generator) {
+  DepthNetwork& network = networks->depth;
   const ModelConfig& config = network->config;
-  const torch::Tensor condition = network->condition_of(rgb);
+  const Target& target = batch.target;
+  const torch::Tensor condition = network->condition_of(batch.rgb);
   const int steps = part == Part::kWhole ? static_cast<int>(config.steps.size()) : 0;
   const torch::Tensor direct = network->sample(condition, 0);
   const torch::Tensor student = steps > 0 ? network->sample(condition, steps) : direct;
@@ -138,28 +224,24 @@ Losses training_losses(DepthNetwork& network, const torch::Tensor& rgb, const Ta
                            .clamp(kMinDepth, kMaxDepth)
                            .log(),
                        log_depth_of_variable(student, config), mask, target.reliable);
+  const DepthLosses depth_losses(networks, batch, weights, log_target);
 
-  const auto distillation = [&](const torch::Tensor& variable) {
-    return distillation_loss(log_depth_of_variable(variable, config), log_target, mask,
-                             target.weight, config.preset);
-  };
-  const auto gradient = [&](const torch::Tensor& variable) {
-    return gradient_loss(log_depth_of_variable(variable, config), log_target, mask,
-                         target.weight * target.sharp);
-  };
-  const torch::Tensor zero_step =
-      weights.distillation * distillation(direct) + weights.gradient * gradient(direct);
-  if (part == Part::kDirect) return {zero_step, 0, 0, 0, zero_step.item<double>()};
-
-  const torch::Tensor distilled = distillation(student);
-  const torch::Tensor edges = gradient(student);
+  Losses losses;
+  if (part == Part::kDirect) {
+    losses.total = depth_losses.of(direct, losses, generator);
+    losses[Term::kDirect] = losses.total.item<double>();
+    return losses;
+  }
   const torch::Tensor denoised =
       denoising_loss(network, condition, variable_of_depth(log_target.exp(), config), student, mask,
                      target.weight, draw_denoising(network, generator, student.sizes()));
-  const torch::Tensor total = weights.distillation * distilled + weights.denoising * denoised +
-                              weights.gradient * edges + weights.direct * zero_step;
-  return {total, distilled.item<double>(), denoised.item<double>(), edges.item<double>(),
-          zero_step.item<double>()};
+  const torch::Tensor rollout = depth_losses.of(student, losses, generator);
+  Losses of_direct;
+  const torch::Tensor zero_step = depth_losses.of(direct, of_direct, generator);
+  losses[Term::kDenoising] = denoised.item<double>();
+  losses[Term::kDirect] = zero_step.item<double>();
+  losses.total = rollout + weights.denoising * denoised + weights.direct * zero_step;
+  return losses;
 }
 
 }  // namespace lcdm::model

@@ -2,34 +2,44 @@
 // is a scalar with gradients to its first argument.
 #pragma once
 
+#include <array>
+
 #include "firmware/nn/network_config.h"
-#include "model/network.h"
 #include "model/torch.h"
+#include "model/trained_networks.h"
+#include "model/training_batch.h"
 
 namespace lcdm::model {
 
-// The supervision of one batch, at the canonical focal length.
-struct Target {
-  torch::Tensor depth;     // [B, 1, H, W]; 0 where unknown
-  torch::Tensor weight;    // [B]; how far the sample's depth is trusted
-  torch::Tensor sharp;     // [B]; 1 where its edges are, 0 where the teacher blurs them
-  torch::Tensor reliable;  // [B] bool; false: its scale says nothing
-};
-
+// Equation 11 and what we added to it.
 struct LossWeights {
   double distillation = 1;
   double denoising = 1;
-  double gradient = 0.5;  // multi-scale matching of log-depth gradients
-  double direct = 0.5;    // the 0-step output's share of the distillation and gradient losses
+  double normals = 0;      // 1 in the paper
+  double photometric = 0;  // 1 in the paper; needs neighbouring frames and the pose network
+  double smoothness = 0;   // 1e-3 in the paper
+  double gradient = 0.5;   // multi-scale matching of log-depth gradients; ours
+  double direct = 0.5;     // the 0-step output's share of all losses on depth; ours
 };
+
+enum class Term : std::uint8_t {
+  kDistillation,
+  kDenoising,
+  kNormals,
+  kPhotometric,
+  kSmoothness,
+  kGradient,
+  kDirect,
+};
+inline constexpr std::array<const char*, 7> kTermNames = {
+    "distillation", "denoising", "normals", "photometric", "smoothness", "gradient", "direct"};
 
 struct Losses {
   torch::Tensor total = torch::zeros({});  // with gradients
-  double distillation = 0;
-  double denoising = 0;
-  double gradient = 0;
-  double direct = 0;
+  std::array<double, kTermNames.size()> terms{};
 
+  double& operator[](Term term) { return terms[static_cast<std::size_t>(term)]; }
+  double operator[](Term term) const { return terms[static_cast<std::size_t>(term)]; }
   Losses times(double factor) const;
   void add(const Losses& other);  // takes no gradients over
 };
@@ -77,8 +87,14 @@ torch::Tensor denoising_loss(DepthNetwork& network, const torch::Tensor& conditi
 // cheaper and does not ask an untrained decoder to steer the head.
 enum class Part : std::uint8_t { kWhole, kDirect };
 
-// One pass of network and losses over normalised rgb [B, 3, H, W].
-Losses training_losses(DepthNetwork& network, const torch::Tensor& rgb, const Target& target,
-                       const LossWeights& weights, Part part, at::Generator& generator);
+// Surface-normal distillation: mean squared distance of the unit normals of two depths, where both
+// windows are valid. Windows of 5x5 neighbouring pixels for `lcdm`, 9x9 four apart for `paper`.
+torch::Tensor normal_loss(const torch::Tensor& depth, const torch::Tensor& target_depth,
+                          const torch::Tensor& mask, const torch::Tensor& weight,
+                          const Pinholes& cameras, PresetKind preset);
+
+// One pass of the networks and losses over a batch.
+Losses training_losses(TrainedNetworks& networks, const Batch& batch, const LossWeights& weights,
+                       Part part, at::Generator& generator);
 
 }  // namespace lcdm::model

@@ -179,24 +179,24 @@ Result<PackFrame> load_frame(const fs::path& folder, const fs::path& picture, co
 
 const std::vector<PackUse>& training_packs() {
   static const std::vector<PackUse> packs = {
-      {"indoor_7scenes_redkitchen", Teacher::kSensor, 0, 1, 0.10F, 0.22F},
+      {"indoor_7scenes_redkitchen", Teacher::kSensor, 0, 1, 0.10F, 0.22F, true},
       {"indoor_hololens_dvmvs", Teacher::kSensor, 0, 1, 0.14F, 0.30F},
-      {"driving_kitti_91", Teacher::kMeter, 0, 0.5F, 0.20F, 0.04F},
-      {"driving_kitti_odom_grey_1", Teacher::kMeter, 0, 0.5F, 0.08F, 0.02F},
-      {"driving_kitti_odom_grey_2", Teacher::kMeter, 0, 0.5F, 0.08F, 0.02F},
-      {"driving_carnd_testvideo", Teacher::kMeter, 0, 0.4F, 0.04F, 0.03F},
-      {"driving_carnd_highway", Teacher::kMeter, 60, 0.4F, 0.05F, 0.03F},
+      {"driving_kitti_91", Teacher::kMeter, 0, 0.5F, 0.20F, 0.04F, true},
+      {"driving_kitti_odom_grey_1", Teacher::kMeter, 0, 0.5F, 0.08F, 0.02F, true},
+      {"driving_kitti_odom_grey_2", Teacher::kMeter, 0, 0.5F, 0.08F, 0.02F, true},
+      {"driving_carnd_testvideo", Teacher::kMeter, 0, 0.4F, 0.04F, 0.03F, true},
+      {"driving_carnd_highway", Teacher::kMeter, 60, 0.4F, 0.05F, 0.03F, true},
       {"driving_camvid_stills", Teacher::kMeter, 55, 0.3F, 0.06F, 0.06F},
-      {"clips_deepv2d/kitti_0", Teacher::kMeter, 0, 0.5F, 0.01F, 0},
-      {"clips_deepv2d/kitti_1", Teacher::kMeter, 0, 0.5F, 0.01F, 0},
-      {"clips_deepv2d/kitti_2", Teacher::kMeter, 0, 0.5F, 0.01F, 0},
-      {"clips_deepv2d/kitti_3", Teacher::kMeter, 0, 0.5F, 0.01F, 0},
-      {"clips_deepv2d/nyu_0", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
-      {"clips_deepv2d/nyu_1", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
-      {"clips_deepv2d/nyu_2", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
-      {"clips_deepv2d/nyu_3", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
-      {"clips_deepv2d/scannet_0", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
-      {"clips_deepv2d/scannet_1", Teacher::kMeter, 0, 0.5F, 0, 0.02F},
+      {"clips_deepv2d/kitti_0", Teacher::kMeter, 0, 0.5F, 0.01F, 0, true},
+      {"clips_deepv2d/kitti_1", Teacher::kMeter, 0, 0.5F, 0.01F, 0, true},
+      {"clips_deepv2d/kitti_2", Teacher::kMeter, 0, 0.5F, 0.01F, 0, true},
+      {"clips_deepv2d/kitti_3", Teacher::kMeter, 0, 0.5F, 0.01F, 0, true},
+      {"clips_deepv2d/nyu_0", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
+      {"clips_deepv2d/nyu_1", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
+      {"clips_deepv2d/nyu_2", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
+      {"clips_deepv2d/nyu_3", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
+      {"clips_deepv2d/scannet_0", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
+      {"clips_deepv2d/scannet_1", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
   };
   return packs;
 }
@@ -210,11 +210,27 @@ const std::vector<PackUse>& test_packs() {
   return packs;
 }
 
+namespace {
+
+// A frame's name up to the first '_'; empty without one.
+std::string sequence_of(const std::string& name) {
+  const std::size_t end = name.find('_');
+  return end == std::string::npos ? "" : name.substr(0, end);
+}
+
+}  // namespace
+
+bool Pack::has_neighbours(std::size_t index) const {
+  if (!use.video || index == 0 || index + 1 >= frames.size()) return false;
+  const std::string sequence = sequence_of(frames[index].name);
+  return sequence_of(frames[index - 1].name) == sequence &&
+         sequence_of(frames[index + 1].name) == sequence;
+}
+
 Split split_frames(const std::vector<std::string>& names) {
   std::map<std::string, std::vector<std::size_t>> sequences;
   for (std::size_t i = 0; i < names.size(); ++i) {
-    const std::size_t end = names[i].find('_');
-    sequences[end == std::string::npos ? "" : names[i].substr(0, end)].push_back(i);
+    sequences[sequence_of(names[i])].push_back(i);
   }
   Split split;
   for (const auto& [name, frames] : sequences) {

@@ -26,6 +26,7 @@ struct PackUse {
   float weight = 1;         // trust in its depth, in the losses
   float wide_share = 0;     // how often it is drawn for batches of the wide shape
   float tall_share = 0;     // and for those of the 4:3 shape
+  bool video = false;       // neighbouring frames are neighbours in time
 };
 
 struct Pack {
@@ -33,6 +34,9 @@ struct Pack {
   std::vector<PackFrame> frames;
   std::vector<std::size_t> train;  // indices of frames
   std::vector<std::size_t> validation;
+
+  // Whether frame `index` has a frame before and after it in the same drive.
+  bool has_neighbours(std::size_t index) const;
 };
 
 // The training packs of the shared data and how they are mixed.

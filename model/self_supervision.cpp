@@ -45,14 +45,15 @@ torch::Tensor photometric_error(const torch::Tensor& estimate, const torch::Tens
 torch::Tensor photometric_loss(const torch::Tensor& target,
                                const std::vector<torch::Tensor>& warped,
                                const std::vector<torch::Tensor>& neighbours,
-                               at::Generator& generator) {
+                               const torch::Tensor& weight, at::Generator& generator) {
   std::vector<torch::Tensor> errors;
   for (const torch::Tensor& view : warped) errors.push_back(photometric_error(view, target));
   for (const torch::Tensor& view : neighbours) {
     const torch::Tensor still = photometric_error(view, target);
     errors.push_back(still + torch::randn(still.sizes(), generator) * kTieBreak);
   }
-  return std::get<0>(torch::cat(errors, 1).min(1)).mean();
+  const torch::Tensor least = std::get<0>(torch::cat(errors, 1).min(1));
+  return (least.mean({1, 2}) * weight).sum() / weight.sum().clamp_min(1);
 }
 
 torch::Tensor smoothness_loss(const torch::Tensor& inverse_depth, const torch::Tensor& image) {

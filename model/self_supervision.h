@@ -15,11 +15,12 @@ torch::Tensor photometric_error(const torch::Tensor& estimate, const torch::Tens
 
 // Equation 6 with minimum reprojection and auto-mask: of every pixel the least error over the
 // warped neighbours and over the neighbours as they stand (plus a draw of at most 1e-5 or so that
-// breaks ties); a pixel that needs no motion teaches nothing. Scalar.
+// breaks ties); a pixel that needs no motion teaches nothing. Mean over the images, weighted by
+// `weight` [B]. Scalar.
 torch::Tensor photometric_loss(const torch::Tensor& target,
                                const std::vector<torch::Tensor>& warped,
                                const std::vector<torch::Tensor>& neighbours,
-                               at::Generator& generator);
+                               const torch::Tensor& weight, at::Generator& generator);
 
 // Equation 7: the first differences of inverse depth, divided by its mean, where the picture has
 // none. inverse_depth [B, 1, H, W], image [B, 3, H, W]. Scalar.

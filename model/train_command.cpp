@@ -33,8 +33,9 @@ class Progress {
     const bool fresh = !fs::exists(curve);
     curve_ = std::fopen(curve.c_str(), "a");
     if (curve_ != nullptr && fresh) {
-      std::fprintf(curve_,
-                   "step,images,seconds,learning_rate,distillation,denoising,gradient,direct\n");
+      std::fprintf(curve_, "step,images,seconds,learning_rate");
+      for (const char* name : kTermNames) std::fprintf(curve_, ",%s", name);
+      std::fprintf(curve_, "\n");
     }
   }
   ~Progress() {
@@ -45,12 +46,11 @@ class Progress {
   Progress& operator=(const Progress&) = delete;
 
   void add(const Trainer& trainer, const Losses& losses) {
-    const double values[] = {losses.distillation, losses.denoising, losses.gradient, losses.direct};
-    for (int i = 0; i < 4; ++i) sums_[i] += values[i];
+    for (std::size_t i = 0; i < sums_.size(); ++i) sums_[i] += losses.terms[i];
     ++count_;
     if (trainer.step() % kLines != 0 && !trainer.done()) return;
     print(trainer);
-    for (double& sum : sums_) sum = 0;
+    sums_ = {};
     count_ = 0;
   }
 
@@ -62,18 +62,19 @@ class Progress {
     const double per_step = seconds / static_cast<double>(trainer.step() - first_);
     const double left = per_step * static_cast<double>(total_ - trainer.step());
     const double n = static_cast<double>(count_);
-    std::printf(
-        "%s%lld/%lld  %.2f s/step  %.0f min left  distil %.4f  denoise %.4f  gradient %.4f  direct "
-        "%.4f%s",
-        terminal_ ? "\r" : "", static_cast<long long>(trainer.step()),
-        static_cast<long long>(total_), per_step, left / 60, sums_[0] / n, sums_[1] / n,
-        sums_[2] / n, sums_[3] / n, terminal_ ? "  " : "\n");
+    std::printf("%s%lld/%lld  %.2f s/step  %.0f min left", terminal_ ? "\r" : "",
+                static_cast<long long>(trainer.step()), static_cast<long long>(total_), per_step,
+                left / 60);
+    for (std::size_t i = 0; i < sums_.size(); ++i) {
+      if (sums_[i] != 0) std::printf("  %s %.4f", kTermNames[i], sums_[i] / n);
+    }
+    std::printf("%s", terminal_ ? "  " : "\n");
     std::fflush(stdout);
     if (curve_ == nullptr) return;
-    std::fprintf(curve_, "%lld,%lld,%.1f,%.3g,%.5f,%.5f,%.5f,%.5f\n",
-                 static_cast<long long>(trainer.step()), static_cast<long long>(trainer.images()),
-                 seconds, trainer.learning_rate(), sums_[0] / n, sums_[1] / n, sums_[2] / n,
-                 sums_[3] / n);
+    std::fprintf(curve_, "%lld,%lld,%.1f,%.3g", static_cast<long long>(trainer.step()),
+                 static_cast<long long>(trainer.images()), seconds, trainer.learning_rate());
+    for (const double sum : sums_) std::fprintf(curve_, ",%.5f", sum / n);
+    std::fprintf(curve_, "\n");
     std::fflush(curve_);
   }
 
@@ -82,7 +83,7 @@ class Progress {
   std::int64_t total_;
   Clock::time_point start_;
   std::FILE* curve_ = nullptr;
-  double sums_[4] = {};
+  std::array<double, kTermNames.size()> sums_{};
   int count_ = 0;
 };
 
@@ -91,6 +92,10 @@ Status run(const Options& options) {
   if (!packs) return packs.status();
   std::error_code error;
   fs::create_directories(options.output, error);
+  if (error) {
+    return Status::system(error.value(), "--output %s: cannot make this folder",
+                          options.output.c_str());
+  }
   const std::string checkpoint = (fs::path(options.output) / "checkpoint.safetensors").string();
   Trainer trainer(options.recipe, *packs);
   if (options.resume) LCDM_RETURN_IF_ERROR(trainer.resume(checkpoint));
@@ -185,10 +190,17 @@ void add_train(CLI::App& app, Status& status) {
   command->add_option("--average", recipe.average, "Of the moving average of the weights")
       ->check(CLI::Range(0.0, 1.0))
       ->capture_default_str();
-  command->add_option("--gradient", recipe.losses.gradient, "Weight of the gradient loss")
-      ->capture_default_str();
-  command->add_option("--denoising", recipe.losses.denoising, "Weight of the denoising loss")
-      ->capture_default_str();
+  LossWeights& weights = recipe.losses;
+  const auto add_weight = [command](const char* name, double& weight, const char* what) {
+    command->add_option(name, weight, what)->check(CLI::NonNegativeNumber)->capture_default_str();
+  };
+  add_weight("--distillation", weights.distillation, "Weight of the depth distillation");
+  add_weight("--denoising", weights.denoising, "Weight of the denoising loss");
+  add_weight("--normals", weights.normals, "Weight of the surface-normal distillation");
+  add_weight("--photometric", weights.photometric, "Weight of the photometric loss");
+  add_weight("--smoothness", weights.smoothness, "Weight of the edge-aware smoothness");
+  add_weight("--gradient", weights.gradient, "Weight of the gradient loss");
+  add_weight("--direct", weights.direct, "Weight of the 0-step answer's losses");
   command->callback([options, &status] { status = run(*options); });
 }
 

@@ -46,29 +46,29 @@ std::vector<BatchShape> make_shapes(double share, int images) {
 }
 
 // LibTorch's convolutions are several times faster when weights and pictures are channels-last.
-void use_channels_last(DepthNetwork& network) {
-  for (torch::Tensor& parameter : network->parameters()) {
+void use_channels_last(torch::nn::Module& network) {
+  for (torch::Tensor& parameter : network.parameters()) {
     if (parameter.dim() == 4) {
       parameter.set_data(parameter.detach().contiguous(torch::MemoryFormat::ChannelsLast));
     }
   }
 }
 
-DepthNetwork make_replica(DepthNetwork& network) {
-  DepthNetwork replica(network->config);
-  const auto weights = network->named_parameters();
+TrainedNetworks make_replica(TrainedNetworks& networks) {
+  TrainedNetworks replica(networks->depth->config, !networks->pose.is_empty());
+  const auto weights = networks->named_parameters();
   for (auto& item : replica->named_parameters()) {
     item.value().set_data(weights[item.key()].detach());
   }
   return replica;
 }
 
-// The samples [first, first + count) of a batch.
-Batch part_of(const Batch& batch, std::int64_t first, std::int64_t count) {
-  const Target& all = batch.target;
-  return {batch.rgb.narrow(0, first, count),
-          {all.depth.narrow(0, first, count), all.weight.narrow(0, first, count),
-           all.sharp.narrow(0, first, count), all.reliable.narrow(0, first, count)}};
+// A replica's statistics and configuration become those of `networks`.
+void follow(TrainedNetworks& replica, const TrainedNetworks& networks) {
+  const torch::NoGradGuard no_grad;
+  replica->depth->config = networks->depth->config;
+  const auto statistics = networks->named_buffers();
+  for (auto& item : replica->named_buffers()) item.value().copy_(statistics[item.key()]);
 }
 
 // Mean and deviation of the teacher's logit over a few batches (MODEL.md: `lcdm` only).
@@ -88,13 +88,13 @@ void measure_variable(ModelConfig& config, const std::vector<Pack>& packs,
 
 }  // namespace
 
-void collect(const DepthNetwork& network, const std::string& prefix,
+void collect(const torch::nn::Module& network, const std::string& prefix,
              std::map<std::string, torch::Tensor>& tensors) {
-  for (const auto& item : network->named_parameters()) tensors[prefix + item.key()] = item.value();
-  for (const auto& item : network->named_buffers()) tensors[prefix + item.key()] = item.value();
+  for (const auto& item : network.named_parameters()) tensors[prefix + item.key()] = item.value();
+  for (const auto& item : network.named_buffers()) tensors[prefix + item.key()] = item.value();
 }
 
-bool restore(DepthNetwork& network, const std::string& prefix,
+bool restore(torch::nn::Module& network, const std::string& prefix,
              const std::map<std::string, torch::Tensor>& tensors) {
   const torch::NoGradGuard no_grad;
   std::map<std::string, torch::Tensor> mine;
@@ -112,16 +112,16 @@ Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs)
   torch::manual_seed(recipe.seed);
   ModelConfig config = make_model_config(recipe);
   if (recipe.preset == PresetKind::kLcdm) measure_variable(config, packs, shapes(), recipe.seed);
-  network_ = DepthNetwork(config);
-  use_channels_last(network_);
+  networks_ = TrainedNetworks(config, recipe.losses.photometric > 0);
+  use_channels_last(*networks_);
   const int workers = std::min({recipe.workers, recipe.images, recipe.full_images});
-  for (int i = 1; i < workers; ++i) replicas_.push_back(make_replica(network_));
+  for (int i = 1; i < workers; ++i) replicas_.push_back(make_replica(networks_));
   average_ = DepthNetwork(config);
   std::map<std::string, torch::Tensor> tensors;
-  collect(network_, "", tensors);
-  restore(average_, "", tensors);
+  collect(*networks_->depth, "", tensors);
+  restore(*average_, "", tensors);
   average_->eval();
-  optimizer_ = std::make_unique<AdamW>(*network_, recipe.weight_decay);
+  optimizer_ = std::make_unique<AdamW>(*networks_, recipe.weight_decay);
 }
 
 bool Trainer::past(double share) const {
@@ -129,57 +129,61 @@ bool Trainer::past(double share) const {
 }
 
 std::vector<BatchShape> Trainer::shapes() const {
-  return past(recipe_.full_from) ? make_shapes(1, recipe_.full_images)
-                                 : make_shapes(recipe_.reduced, recipe_.images);
+  std::vector<BatchShape> shapes = past(recipe_.full_from)
+                                       ? make_shapes(1, recipe_.full_images)
+                                       : make_shapes(recipe_.reduced, recipe_.images);
+  const LossWeights& weights = recipe_.losses;
+  for (BatchShape& shape : shapes) shape.views = weights.photometric > 0 || weights.smoothness > 0;
+  return shapes;
 }
 
-double Trainer::learning_rate() const {
-  if (step_ < recipe_.warm_up) {
-    return recipe_.learning_rate * static_cast<double>(step_ + 1) /
-           static_cast<double>(recipe_.warm_up);
-  }
-  const double progress =
-      static_cast<double>(step_ - recipe_.warm_up) /
-      static_cast<double>(std::max<std::int64_t>(1, recipe_.steps - recipe_.warm_up));
-  return recipe_.final_rate + (recipe_.learning_rate - recipe_.final_rate) * 0.5 *
-                                  (1 + std::cos(M_PI * std::min(1.0, progress)));
+double Trainer::learning_rate() const { return rate_after(0); }
+
+double Trainer::rate_after(double first) const {
+  const auto step = static_cast<double>(step_) - first;
+  const auto warm_up = static_cast<double>(recipe_.warm_up);
+  if (step < warm_up) return recipe_.learning_rate * (step + 1) / warm_up;
+  const double all = static_cast<double>(recipe_.steps) - first - warm_up;
+  const double progress = std::min(1.0, (step - warm_up) / std::max(1.0, all));
+  return recipe_.final_rate +
+         (recipe_.learning_rate - recipe_.final_rate) * 0.5 * (1 + std::cos(M_PI * progress));
 }
 
 // Frozen statistics are the averaged ones: those of the last few mixed batches are too noisy.
 void Trainer::set_modes() {
   const torch::NoGradGuard no_grad;
   const auto averaged = average_->named_buffers();
-  const auto set = [&](DepthNetwork& network) {
-    network->train();
+  const auto set = [&](TrainedNetworks& networks) {
+    networks->train();
     if (!past(recipe_.freeze_from)) return;
-    for (auto& buffer : network->named_buffers()) buffer.value().copy_(averaged[buffer.key()]);
-    for (const auto& module : network->modules()) {
+    DepthNetwork& depth = networks->depth;
+    for (auto& buffer : depth->named_buffers()) buffer.value().copy_(averaged[buffer.key()]);
+    for (const auto& module : depth->modules()) {
       if (auto* norm = module->as<torch::nn::BatchNorm2d>()) norm->eval();
     }
   };
-  set(network_);
-  for (DepthNetwork& replica : replicas_) set(replica);
+  set(networks_);
+  for (TrainedNetworks& replica : replicas_) set(replica);
 }
 
 Losses Trainer::run_worker(std::size_t worker, const Batch& part, double share) {
   at::set_num_threads(1);  // of this thread: two whole passes side by side beat one on two threads
-  DepthNetwork& network = worker == 0 ? network_ : replicas_[worker - 1];
-  for (torch::Tensor& weight : network->parameters()) weight.mutable_grad() = torch::Tensor();
+  TrainedNetworks& networks = worker == 0 ? networks_ : replicas_[worker - 1];
+  for (torch::Tensor& weight : networks->parameters()) weight.mutable_grad() = torch::Tensor();
   at::Generator generator = at::detail::createCPUGenerator(
       SampleRandom(recipe_.seed, static_cast<std::uint64_t>(step_), kLossStream + worker)
           .below(1U << 31));
   const Part what = past(recipe_.head_from) ? Part::kWhole : Part::kDirect;
-  Losses losses =
-      training_losses(network, part.rgb, part.target, recipe_.losses, what, generator).times(share);
+  Losses losses = training_losses(networks, part, recipe_.losses, what, generator).times(share);
   losses.total.backward();
   return losses;
 }
 
 void Trainer::gather_workers() {
   const torch::NoGradGuard no_grad;
-  auto weights = network_->named_parameters();
-  auto statistics = network_->named_buffers();
-  for (DepthNetwork& replica : replicas_) {
+  auto weights = networks_->named_parameters();
+  auto statistics = networks_->named_buffers();
+  for (TrainedNetworks& replica : replicas_) {
     for (const auto& item : replica->named_parameters()) {
       torch::Tensor& sum = weights[item.key()].mutable_grad();
       const torch::Tensor& grad = item.value().grad();
@@ -195,9 +199,8 @@ void Trainer::gather_workers() {
     } else {
       item.value().floor_divide_(workers);
     }
-    for (DepthNetwork& replica : replicas_)
-      replica->named_buffers()[item.key()].copy_(item.value());
   }
+  for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
 }
 
 void Trainer::update_average() {
@@ -206,8 +209,8 @@ void Trainer::update_average() {
       recipe_.average, (1.0 + static_cast<double>(step_)) / (10.0 + static_cast<double>(step_)));
   std::map<std::string, torch::Tensor> from;
   std::map<std::string, torch::Tensor> to;
-  collect(network_, "", from);
-  collect(average_, "", to);
+  collect(*networks_->depth, "", from);
+  collect(*average_, "", to);
   for (auto& [name, tensor] : to) {
     if (tensor.is_floating_point()) {
       tensor.mul_(keep).add_(from[name], 1 - keep);
@@ -217,9 +220,25 @@ void Trainer::update_average() {
   }
 }
 
+namespace {
+
+Status not_finite(const Losses& losses, std::int64_t step) {
+  std::string terms;
+  for (std::size_t i = 0; i < kTermNames.size(); ++i) {
+    terms +=
+        (i > 0 ? ", " : "") + std::string(kTermNames[i]) + " " + std::to_string(losses.terms[i]);
+  }
+  return Status::error(StatusCode::kCorrupt,
+                       "step %lld: the loss is not finite (%s); lower the learning rate or look at "
+                       "the batch's depth",
+                       static_cast<long long>(step), terms.c_str());
+}
+
+}  // namespace
+
 Result<Losses> Trainer::advance() {
   const std::vector<BatchShape> wanted = shapes();
-  const bool full = wanted[0].width == kDeployed[0][0];
+  const bool full = past(recipe_.full_from);
   if (loader_ == nullptr || full != full_size_) {
     loader_.reset();
     loader_ = std::make_unique<BatchLoader>(packs_, wanted, recipe_.seed,
@@ -235,27 +254,24 @@ Result<Losses> Trainer::advance() {
     const std::int64_t first = i * images / workers;
     const std::int64_t count = (i + 1) * images / workers - first;
     running.push_back(std::async(std::launch::async, [this, i, count, images, first, &batch] {
-      return run_worker(static_cast<std::size_t>(i), part_of(batch, first, count),
+      return run_worker(static_cast<std::size_t>(i), batch.part(first, count),
                         static_cast<double>(count) / static_cast<double>(images));
     }));
   }
   Losses losses;
   for (std::future<Losses>& part : running) losses.add(part.get());
-  if (!std::isfinite(losses.total.item<double>())) {
-    return Status::error(
-        StatusCode::kCorrupt,
-        "step %lld: the loss is not finite (distillation %g, denoising %g, gradient "
-        "%g, direct %g); lower the learning rate or look at the batch's depth",
-        static_cast<long long>(step_), losses.distillation, losses.denoising, losses.gradient,
-        losses.direct);
-  }
+  if (!std::isfinite(losses.total.item<double>())) return not_finite(losses, step_);
   gather_workers();
   if (const double norm = optimizer_->clip(recipe_.clip); !std::isfinite(norm)) {
     return Status::error(StatusCode::kCorrupt,
                          "step %lld: a gradient is not finite; lower the learning rate",
                          static_cast<long long>(step_));
   }
-  optimizer_->step(learning_rate());
+  // The head joins late and learns at its own pace: by then the others' rate is nearly at its end.
+  const double head_first = std::ceil(recipe_.head_from * static_cast<double>(recipe_.steps));
+  optimizer_->step([&](const std::string& name) {
+    return name.rfind("depth.head.", 0) == 0 ? rate_after(head_first) : learning_rate();
+  });
   images_ += images;
   ++step_;
   update_average();
@@ -264,8 +280,8 @@ Result<Losses> Trainer::advance() {
 
 Status Trainer::save(const std::string& path) const {
   TensorFile file;
-  collect(network_, "network.", file.tensors);
-  collect(average_, "average.", file.tensors);
+  collect(*networks_, "network.", file.tensors);
+  collect(*average_, "average.", file.tensors);
   optimizer_->save(file.tensors);
   file.tensors["trainer.step"] = torch::tensor({step_, images_}, torch::kLong);
   file.metadata["lcdm"] = config_json(config());
@@ -285,13 +301,14 @@ Status Trainer::resume(const std::string& path) {
   const Result<ModelConfig> config = parse_model_config(text->second);
   if (!config) return config.status();
   if (config->encoder != recipe_.encoder || config->preset != recipe_.preset ||
-      !restore(network_, "network.", tensors) || !restore(average_, "average.", tensors) ||
+      !restore(*networks_, "network.", tensors) || !restore(*average_, "average.", tensors) ||
       !optimizer_->load(tensors)) {
     return Status::error(StatusCode::kInvalidInput, "%s holds another network than the recipe's",
                          path.c_str());
   }
-  network_->config = *config;
+  networks_->depth->config = *config;
   average_->config = *config;
+  for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
   step_ = step->second[0].item<std::int64_t>();
   images_ = step->second[1].item<std::int64_t>();
   loader_.reset();
@@ -309,7 +326,7 @@ Result<DepthNetwork> load_checkpoint(const std::string& path) {
   const Result<ModelConfig> config = parse_model_config(text->second);
   if (!config) return config.status();
   DepthNetwork network(*config);
-  if (!restore(network, "average.", file->tensors)) {
+  if (!restore(*network, "average.", file->tensors)) {
     return Status::error(StatusCode::kInvalidInput, "%s holds no averaged weights", path.c_str());
   }
   network->eval();

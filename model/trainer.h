@@ -10,7 +10,7 @@
 #include "model/adamw.h"
 #include "model/batch.h"
 #include "model/losses.h"
-#include "model/network.h"
+#include "model/trained_networks.h"
 
 namespace lcdm::model {
 
@@ -48,6 +48,7 @@ class Trainer {
   std::int64_t step() const { return step_; }
   bool done() const { return step_ >= recipe_.steps; }
   std::int64_t images() const { return images_; }
+  // Of all but the head, which has the same curve from where it joins.
   double learning_rate() const;
   // One optimiser step. kCorrupt where the loss or a gradient is not finite: what and when; the
   // weights are then those before the step.
@@ -55,7 +56,7 @@ class Trainer {
 
   // The averaged weights, in evaluation mode.
   DepthNetwork& averaged() { return average_; }
-  const ModelConfig& config() const { return network_->config; }
+  const ModelConfig& config() const { return networks_->depth->config; }
 
   Status save(const std::string& path) const;
   // kInvalidInput: the checkpoint is of another network. The recipe's steps may differ.
@@ -63,6 +64,8 @@ class Trainer {
 
  private:
   bool past(double share) const;
+  // Warm-up, then a cosine to the end, begun at step `first`.
+  double rate_after(double first) const;
   void set_modes();
   // Losses and gradients of one worker's part of the batch; its share weighs them.
   Losses run_worker(std::size_t worker, const Batch& part, double share);
@@ -73,9 +76,9 @@ class Trainer {
 
   Recipe recipe_;
   const std::vector<Pack>& packs_;
-  DepthNetwork network_ = nullptr;      // also worker 0's
-  std::vector<DepthNetwork> replicas_;  // of the other workers: the same weights in memory,
-                                        // gradients and statistics of their own
+  TrainedNetworks networks_ = nullptr;  // also worker 0's
+  // Of the other workers: the same weights in memory, gradients and statistics of their own.
+  std::vector<TrainedNetworks> replicas_;
   DepthNetwork average_ = nullptr;
   std::unique_ptr<AdamW> optimizer_;
   std::unique_ptr<BatchLoader> loader_;
@@ -85,10 +88,10 @@ class Trainer {
 };
 
 // Weights and buffers of `network` by name, with `prefix`.
-void collect(const DepthNetwork& network, const std::string& prefix,
+void collect(const torch::nn::Module& network, const std::string& prefix,
              std::map<std::string, torch::Tensor>& tensors);
 // The reverse; false where one is missing or of another shape.
-bool restore(DepthNetwork& network, const std::string& prefix,
+bool restore(torch::nn::Module& network, const std::string& prefix,
              const std::map<std::string, torch::Tensor>& tensors);
 
 // The averaged network of a checkpoint, for evaluation and export.

@@ -152,25 +152,54 @@ TEST(DrawDenoising, StaysWithinOneSamplerStep) {
   EXPECT_TRUE(seen[0] && seen[1]);
 }
 
+TEST(NormalLoss, IsTheSquaredDistanceOfTheUnitNormals) {
+  const Pinholes cameras = pinholes_of({{64, 64, 60, 60, 31.5F, 31.5F, true}});
+  const Rays rays = rays_of(cameras, 64, 64);
+  const torch::Tensor facing = torch::full({1, 1, 64, 64}, 4.0F);
+  const torch::Tensor slanted = 4 / (1 + 0.75 * rays.x);  // normal (.6, 0, .8)
+  const torch::Tensor mask = torch::ones({1, 1, 64, 64}, torch::kBool);
+  const double loss =
+      normal_loss(facing, slanted, mask, torch::ones({1}), cameras, PresetKind::kLcdm)
+          .item<double>();
+  EXPECT_NEAR(loss, 0.6 * 0.6 + 0.2 * 0.2, 1e-3);
+  EXPECT_NEAR(normal_loss(2 * facing, facing, mask, torch::ones({1}), cameras, PresetKind::kPaper)
+                  .item<double>(),
+              0, 1e-6)
+      << "scale is not a normal's business";
+}
+
 TEST(TrainingLosses, NinetyPercentHolesGiveNoNanAndNoBias) {
   torch::manual_seed(7);
-  DepthNetwork network(small_config());
-  network->eval();
+  TrainedNetworks networks(small_config(), true);
+  networks->eval();
   at::Generator generator = at::detail::createCPUGenerator(8);
-  const torch::Tensor rgb = torch::randn({2, 3, 64, 64});
-  Target full{torch::full({2, 1, 64, 64}, 5.0F), torch::ones({2}), torch::ones({2}),
-              torch::ones({2}, torch::kBool)};
-  Target holes = full;
-  holes.depth =
-      torch::where(torch::rand({2, 1, 64, 64}) < 0.9, torch::zeros({2, 1, 64, 64}), full.depth);
-  const Losses a = training_losses(network, rgb, full, {}, Part::kWhole, generator);
-  const Losses b = training_losses(network, rgb, holes, {}, Part::kWhole, generator);
+  const torch::Tensor picture = torch::rand({2, 3, 64, 64});
+  Batch full;
+  full.rgb = (picture - 0.45) / 0.225;
+  const CameraModel camera{64, 64, 60, 60, 31.5F, 31.5F, true};
+  full.cameras = pinholes_of({camera, camera});
+  full.target = {torch::full({2, 1, 64, 64}, 5.0F), torch::ones({2}), torch::ones({2}),
+                 torch::ones({2}, torch::kBool)};
+  full.views = {picture, torch::rand_like(picture), torch::rand_like(picture), torch::ones({2})};
+  Batch holes = full;
+  holes.target.depth = torch::where(torch::rand({2, 1, 64, 64}) < 0.9, torch::zeros({2, 1, 64, 64}),
+                                    full.target.depth);
+  LossWeights weights;
+  weights.normals = 1;
+  weights.photometric = 1;
+  weights.smoothness = 1e-3;
+  const Losses a = training_losses(networks, full, weights, Part::kWhole, generator);
+  const Losses b = training_losses(networks, holes, weights, Part::kWhole, generator);
   b.total.backward();
-  for (const torch::Tensor& parameter : network->parameters()) {
-    if (!parameter.grad().defined()) continue;
-    EXPECT_TRUE(torch::isfinite(parameter.grad()).all().item<bool>());
+  for (const auto& parameter : networks->named_parameters()) {
+    const torch::Tensor& grad = parameter.value().grad();
+    if (!grad.defined()) continue;
+    EXPECT_TRUE(torch::isfinite(grad).all().item<bool>()) << parameter.key();
   }
-  EXPECT_NEAR(b.distillation, a.distillation, 0.05 * a.distillation);
+  EXPECT_NEAR(b[Term::kDistillation], a[Term::kDistillation], 0.05 * a[Term::kDistillation]);
+  for (const Term term : {Term::kNormals, Term::kPhotometric, Term::kSmoothness}) {
+    EXPECT_GT(a[term], 0) << kTermNames[static_cast<std::size_t>(term)];
+  }
 }
 
 }  // namespace

@@ -104,7 +104,7 @@ TEST_F(SmallPack, CropKeepsDepthAtTheCanonicalFocalLength) {
   BatchShape shape{96, 64, 80, 1, false};
   for (std::uint64_t seed = 0; seed < 8; ++seed) {
     SampleRandom random(seed, 0, 0);
-    const AugmentedSample sample = augment(pack->frames[0], shape, random);
+    const AugmentedSample sample = augment(*pack, 0, shape, random);
     double most = 0;
     cv::minMaxLoc(sample.depth, nullptr, &most);
     if (most > 0) {

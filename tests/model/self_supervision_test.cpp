@@ -34,8 +34,10 @@ TEST(PhotometricLoss, TakesTheBestOfTheNeighboursPixelByPixel) {
   const torch::Tensor elsewhere = torch::zeros_like(target);
   at::Generator random = generator();
   const double loss =
-      photometric_loss(target, {left, right}, {elsewhere, elsewhere}, random).item<double>();
-  const double one = photometric_loss(target, {left}, {elsewhere}, random).item<double>();
+      photometric_loss(target, {left, right}, {elsewhere, elsewhere}, torch::ones({1}), random)
+          .item<double>();
+  const double one =
+      photometric_loss(target, {left}, {elsewhere}, torch::ones({1}), random).item<double>();
   EXPECT_LT(loss, 0.25 * one);
 }
 
@@ -43,7 +45,7 @@ TEST(PhotometricLoss, GivesNoGradientWhereNothingMoved) {
   const torch::Tensor target = torch::rand({1, 3, 16, 16});
   torch::Tensor warped = torch::rand({1, 3, 16, 16}).requires_grad_();
   at::Generator random = generator();
-  photometric_loss(target, {warped}, {target}, random).backward();
+  photometric_loss(target, {warped}, {target}, torch::ones({1}), random).backward();
   EXPECT_EQ(warped.grad().abs().sum().item<double>(), 0);
 }
 
@@ -96,7 +98,8 @@ TEST(PhotometricLoss, LeadsDepthToTheTruth) {
   at::Generator random = generator();
   for (int i = 0; i < 100; ++i) {
     adam.zero_grad();
-    photometric_loss(target, {view(log_depth.exp())}, {source}, random).backward();
+    photometric_loss(target, {view(log_depth.exp())}, {source}, torch::ones({1}), random)
+        .backward();
     adam.step();
   }
   EXPECT_NEAR(log_depth.exp().item<double>(), 4, 0.1);
