@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Installs what is missing, builds everything and runs the tests.
 #
-#   ./test.sh          every test but the browser, the sanitizer subset and the format check
-#   ./test.sh --all    the same, then the long ones: the browser, everything under the sanitizers,
-#                      clang-tidy, g++-11
+#   ./test.sh          every test, the sanitizer subset and the format check
+#   ./test.sh --all    the same, then the long ones: everything under the sanitizers, clang-tidy,
+#                      g++-11
 #
 # Prints how long each stage took. Stops at the first stage that fails.
 set -euo pipefail
@@ -79,11 +79,10 @@ stage 'install' systemd/install-packages.sh run test train
 stage 'npm packages' npm_packages
 stage 'format' check_format
 stage 'release build, with trainer' build trainer
-stage 'tests' run_tests trainer -LE browser
+stage 'tests' run_tests trainer
 stage 'sanitizer subset, build' build_subset asan
 stage 'sanitizer subset, tests' run_subset asan
 if $all; then
-  stage 'browser test' run_tests trainer -L browser
   stage 'address sanitizer build' build asan
   stage 'address sanitizer tests' run_tests asan -LE browser
   stage 'thread sanitizer build' build tsan

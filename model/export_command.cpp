@@ -21,8 +21,9 @@ struct Options {
   std::string card;
   std::optional<StartKind> start;
   std::string licence =
-      "LicenseRef-research-non-commercial (KITTI CC-BY-NC-SA-3.0; 7-Scenes and CamVid research "
-      "only)";
+      "LicenseRef-research-non-commercial (KITTI CC-BY-NC-SA-3.0; 7-Scenes, CamVid, NYU and "
+      "ScanNet research "
+      "research only)";
 };
 
 // The checkpoint's weights as the device's model file.
