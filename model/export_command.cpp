@@ -22,8 +22,7 @@ struct Options {
   std::optional<StartKind> start;
   std::string licence =
       "LicenseRef-research-non-commercial (KITTI CC-BY-NC-SA-3.0; 7-Scenes, CamVid, NYU and "
-      "ScanNet research "
-      "research only)";
+      "ScanNet research only)";
 };
 
 // The checkpoint's weights as the device's model file.
