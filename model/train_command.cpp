@@ -6,6 +6,7 @@
 
 #include "model/commands.h"
 #include "model/data.h"
+#include "model/safetensors.h"
 #include "model/trainer.h"
 
 namespace lcdm::model {
@@ -21,6 +22,9 @@ struct Options {
   DataOptions data;
   std::string output = "build/training";
   bool resume = false;
+  std::string encoder_weights;
+  bool encoder_bgr = false;
+  std::string pose_weights;
   std::int64_t save_every = 200;
 };
 
@@ -87,6 +91,34 @@ class Progress {
   int count_ = 0;
 };
 
+void print_import(const char* what, const std::string& path, const ImportReport& report) {
+  std::printf("%s: %zu tensors from %s", what, report.taken, path.c_str());
+  for (std::size_t i = 0; i < report.unused.size(); ++i) {
+    std::printf("%s%s", i == 0 ? "; not used: " : ", ", report.unused[i].c_str());
+  }
+  std::printf("\n");
+}
+
+// Weights that others trained, where the options name them.
+Status start_from_others(const Options& options, Trainer& trainer) {
+  if (!options.encoder_weights.empty()) {
+    const auto file = read_tensors(options.encoder_weights);
+    if (!file) return file.status();
+    const auto order = options.encoder_bgr ? ChannelOrder::kBgr : ChannelOrder::kRgb;
+    const auto report = trainer.start_encoder_from(*file, order);
+    if (!report) return report.status();
+    print_import("encoder", options.encoder_weights, *report);
+  }
+  if (!options.pose_weights.empty()) {
+    const auto file = read_tensors(options.pose_weights);
+    if (!file) return file.status();
+    const auto report = trainer.start_pose_from(*file);
+    if (!report) return report.status();
+    print_import("pose encoder", options.pose_weights, *report);
+  }
+  return Status::ok();
+}
+
 Status run(const Options& options) {
   const Result<std::vector<Pack>> packs = load_training_data(options.data);
   if (!packs) return packs.status();
@@ -98,7 +130,11 @@ Status run(const Options& options) {
   }
   const std::string checkpoint = (fs::path(options.output) / "checkpoint.safetensors").string();
   Trainer trainer(options.recipe, *packs);
-  if (options.resume) LCDM_RETURN_IF_ERROR(trainer.resume(checkpoint));
+  if (options.resume) {
+    LCDM_RETURN_IF_ERROR(trainer.resume(checkpoint));
+  } else {
+    LCDM_RETURN_IF_ERROR(start_from_others(options, trainer));
+  }
   std::printf("variable mean %.4f deviation %.4f, from step %lld\n", trainer.config().variable_mean,
               trainer.config().variable_std, static_cast<long long>(trainer.step()));
 
@@ -124,6 +160,15 @@ void add_train(CLI::App& app, Status& status) {
   command->add_option("--output", options->output, "Folder of the checkpoint and curve.csv")
       ->capture_default_str();
   command->add_flag("--resume", options->resume, "Go on from the folder's checkpoint");
+  command
+      ->add_option("--encoder-weights", options->encoder_weights,
+                   "Start the encoder from this .safetensors (timm's or ml-cvnets' names)")
+      ->check(CLI::ExistingFile);
+  command->add_flag("--encoder-bgr", options->encoder_bgr, "They were trained on BGR pictures");
+  command
+      ->add_option("--pose-weights", options->pose_weights,
+                   "Start the pose network's ResNet18 from this .safetensors (torchvision's names)")
+      ->check(CLI::ExistingFile);
   command->add_option("--save-every", options->save_every, "Steps between checkpoints")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();

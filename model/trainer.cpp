@@ -124,6 +124,28 @@ Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs)
   optimizer_ = std::make_unique<AdamW>(*networks_, recipe.weight_decay);
 }
 
+Result<ImportReport> Trainer::start_encoder_from(const TensorFile& file, ChannelOrder order) {
+  auto report = import_mobilevit(file, order, networks_->depth->encoder);
+  if (!report) return report;
+  std::map<std::string, torch::Tensor> tensors;
+  collect(*networks_->depth, "", tensors);
+  restore(*average_, "", tensors);
+  for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
+  return report;
+}
+
+Result<ImportReport> Trainer::start_pose_from(const TensorFile& file) {
+  if (networks_->pose.is_empty()) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "there is no pose network to start: give --photometric a weight");
+  }
+  auto report = import_resnet18(file, networks_->pose->encoder);
+  if (report) {
+    for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
+  }
+  return report;
+}
+
 bool Trainer::past(double share) const {
   return static_cast<double>(step_) >= share * static_cast<double>(recipe_.steps);
 }

@@ -11,6 +11,7 @@
 #include "model/batch.h"
 #include "model/losses.h"
 #include "model/trained_networks.h"
+#include "model/weight_import.h"
 
 namespace lcdm::model {
 
@@ -53,6 +54,11 @@ class Trainer {
   // One optimiser step. kCorrupt where the loss or a gradient is not finite: what and when; the
   // weights are then those before the step.
   Result<Losses> advance();
+
+  // Starts encoder or pose network from others' weights; before the first step. Errors as
+  // weight_import.h; kInvalidInput where there is no pose network.
+  Result<ImportReport> start_encoder_from(const TensorFile& file, ChannelOrder order);
+  Result<ImportReport> start_pose_from(const TensorFile& file);
 
   // The averaged weights, in evaluation mode.
   DepthNetwork& averaged() { return average_; }
