@@ -1,15 +1,29 @@
 #include "app/http_server.h"
 
+#include <algorithm>
 #include <cerrno>
 #include <chrono>
 #include <civetweb.h>
 #include <cstdio>
+#include <dlfcn.h>
 #include <netinet/in.h>
+#include <pthread.h>
 #include <sys/socket.h>
 #include <thread>
 #include <unistd.h>
 
 #include "app/http_guard.h"
+
+// CivetWeb makes its threads with stacks of 100 KB, of which OpenBLAS, brought by OpenCV, takes 60
+// for its thread-local data: too little room for comfort, and none under a sanitizer. It offers no
+// setting, so the program answers its request with a larger stack.
+extern "C" int pthread_attr_setstacksize(pthread_attr_t* attributes, std::size_t bytes) noexcept {
+  constexpr std::size_t kLeastStack = 512 << 10;
+  using Function = int (*)(pthread_attr_t*, std::size_t);
+  static const auto next =
+      reinterpret_cast<Function>(dlsym(RTLD_NEXT, "pthread_attr_setstacksize"));
+  return next(attributes, std::max(bytes, kLeastStack));
+}
 
 namespace lcdm {
 namespace {

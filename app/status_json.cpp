@@ -35,41 +35,52 @@ nlohmann::json recording_json(const RecorderStatus& now) {
           {"bytes", now.bytes},  {"file", now.file},     {"fault", now.fault}};
 }
 
+nlohmann::json frame_json(const HealthSnapshot& now) {
+  return {{"sequence", now.sequence},
+          {"age_ms", milliseconds(now.frame_age_ns)},
+          {"latency_ms", milliseconds(now.latency_ns)}};
+}
+
+nlohmann::json inference_json(const HealthSnapshot& now) {
+  return {{"p50", milliseconds(now.inference_p50_ns)}, {"p99", milliseconds(now.inference_p99_ns)}};
+}
+
+nlohmann::json source_json(const Pipeline::Source& source) {
+  return {{"uri", source.info.uri},
+          {"description", source.info.description},
+          {"pixel_format", to_string(source.format.pixel)},
+          {"width", source.format.width},
+          {"height", source.format.height}};
+}
+
+nlohmann::json depth_json(const Pipeline::EngineView& engine) {
+  return {{"scale", to_string(engine.scale)},
+          {"width", engine.depth_camera.width},
+          {"height", engine.depth_camera.height}};
+}
+
 }  // namespace
 
 nlohmann::json status_json(const Pipeline& pipeline, const RecorderStatus& recorder, int viewers,
                            std::int64_t started_ns) {
   const std::int64_t now_ns = os::monotonic_ns();
   const HealthSnapshot now = pipeline.health().snapshot(now_ns);
-  const Pipeline::Source source = pipeline.source();
   const Pipeline::EngineView engine = pipeline.engine();
-  return {
-      {"version", kVersion},
-      {"state", to_string(now.state)},
-      {"fault", pipeline.fault()},
-      {"uptime_s", static_cast<double>(now_ns - started_ns) * 1e-9},
-      {"viewers", viewers},
-      {"frames_per_second", now.frames_per_second},
-      {"frame",
-       {{"sequence", now.sequence},
-        {"age_ms", milliseconds(now.frame_age_ns)},
-        {"latency_ms", milliseconds(now.latency_ns)}}},
-      {"inference_ms",
-       {{"p50", milliseconds(now.inference_p50_ns)}, {"p99", milliseconds(now.inference_p99_ns)}}},
-      {"frames", frames_json(now)},
-      {"source",
-       {{"uri", source.info.uri},
-        {"description", source.info.description},
-        {"pixel_format", to_string(source.format.pixel)},
-        {"width", source.format.width},
-        {"height", source.format.height}}},
-      {"depth",
-       {{"scale", to_string(engine.scale)},
-        {"width", engine.depth_camera.width},
-        {"height", engine.depth_camera.height}}},
-      {"model", model_json(engine.stats)},
-      {"recording", recording_json(recorder)},
-  };
+  nlohmann::json json;
+  json["version"] = kVersion;
+  json["state"] = to_string(now.state);
+  json["fault"] = pipeline.fault();
+  json["uptime_s"] = static_cast<double>(now_ns - started_ns) * 1e-9;
+  json["viewers"] = viewers;
+  json["frames_per_second"] = now.frames_per_second;
+  json["frame"] = frame_json(now);
+  json["inference_ms"] = inference_json(now);
+  json["frames"] = frames_json(now);
+  json["source"] = source_json(pipeline.source());
+  json["depth"] = depth_json(engine);
+  json["model"] = model_json(engine.stats);
+  json["recording"] = recording_json(recorder);
+  return json;
 }
 
 }  // namespace lcdm
