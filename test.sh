@@ -65,8 +65,9 @@ run_subset() {
 check_format() {
   git ls-files '*.h' '*.cpp' | xargs clang-format --dry-run --Werror
 }
+# Not model/: LibTorch 1.13's headers do not compile as C++20 with Debian 12's clang.
 check_tidy() {
-  git ls-files 'firmware/*.cpp' 'drivers/*.cpp' 'app/*.cpp' 'model/*.cpp' |
+  git ls-files 'firmware/*.cpp' 'drivers/*.cpp' 'app/*.cpp' |
     xargs -P "$(nproc)" -n 4 clang-tidy -p build/trainer --quiet --extra-arg=-Wno-unknown-warning-option
 }
 # The device part with the board's compiler (Ubuntu 22.04 has gcc 11).
