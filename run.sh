@@ -6,6 +6,7 @@
 #   ./run.sh scene:               the rendered scene (no camera needed)
 #   ./run.sh file:PATH            a video file or a folder of images
 #   ./run.sh v4l2:/dev/video0     a camera
+#   ./run.sh mcap:recordings/     what `lcdm record` wrote
 #
 # Everything after the source goes to `lcdm run`: ./run.sh scene: --listen 0.0.0.0
 set -euo pipefail
@@ -13,7 +14,7 @@ cd "$(dirname "$0")"
 
 case ${1:-} in
   -h | --help)
-    sed -n '2,10s/^# \{0,1\}//p' "$0"
+    sed -n '2,11s/^# \{0,1\}//p' "$0"
     exit 0
     ;;
 esac

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <map>
 #include <opencv2/core.hpp>
 #include <opencv2/core/utils/logger.hpp>
 #include <opencv2/imgcodecs.hpp>
@@ -47,6 +48,7 @@ class ReplayCamera::Reader {
       auto images = replay::list_images(path);
       if (!images) return images.status();
       reader->images_ = std::move(*images);
+      for (const std::string& image : reader->images_) ++reader->stems_[fs::path(image).stem()];
       return reader;
     }
     if (!fs::exists(path, error)) {
@@ -64,7 +66,14 @@ class ReplayCamera::Reader {
 
   bool is_video() const { return images_.empty(); }
   std::size_t image_count() const { return images_.size(); }
-  const std::string& image(std::size_t index) const { return images_[index]; }
+  // The image's name without its folder and, where no other image of the folder has the same
+  // name before it, without its extension.
+  std::string name(std::size_t index) const {
+    const fs::path path = images_[index];
+    const auto stem = stems_.find(path.stem());
+    const bool shared = stem != stems_.end() && stem->second > 1;
+    return (shared ? path.filename() : path.stem()).string();
+  }
 
   // The video's own rate; 0 where it has none, and for images.
   float rate() {
@@ -117,7 +126,8 @@ class ReplayCamera::Reader {
   }
 
   const std::string path_;
-  std::vector<std::string> images_;  // empty: a video
+  std::vector<std::string> images_;   // empty: a video
+  std::map<std::string, int> stems_;  // how many images of the folder have each
   cv::VideoCapture video_;
   std::size_t next_ = 0;
 };
@@ -200,7 +210,7 @@ int ReplayCamera::buffer_count() const { return kBuffers; }
 
 std::string ReplayCamera::frame_name(std::uint64_t sequence) const {
   if (reader_ == nullptr || reader_->is_video()) return Camera::frame_name(sequence);
-  return fs::path(reader_->image(sequence % reader_->image_count())).stem().string();
+  return reader_->name(sequence % reader_->image_count());
 }
 
 Status ReplayCamera::start() {

@@ -73,6 +73,18 @@ TEST(ReplayFolder, GivesEachImageOnceInNaturalOrderAtItsOwnSize) {
   EXPECT_EQ(run_offline(camera), expected) << "a second start begins again";
 }
 
+// Whoever names files after the frames must not overwrite one by the other.
+TEST(ReplayFolder, ImagesThatDifferOnlyInTheirExtensionKeepIt) {
+  const TemporaryFolder folder;
+  write_image(folder.file("a.bmp"), 32, 24, 1);
+  write_image(folder.file("a.png"), 32, 24, 2);
+  write_image(folder.file("b.png"), 32, 24, 3);
+  ReplayCamera camera(folder.path(), Playback::kOffline);
+  ASSERT_TRUE(camera.configure({}));
+  EXPECT_EQ(run_offline(camera),
+            (std::vector<std::string>{"a.bmp 32x24 1", "a.png 32x24 2", "b 32x24 3"}));
+}
+
 TEST(ReplayFolder, LivePlaybackResizesToTheFirstAndStartsOver) {
   const TemporaryFolder folder;
   write_image(folder.file("a.png"), 64, 48, 10);
