@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <fstream>
 #include <optional>
+#include <sstream>
 #include <toml.hpp>
 #include <unistd.h>
 
@@ -156,15 +157,23 @@ std::string first_line(const std::string& what) {
 }
 
 // Whether lists or tables lie deeper in each other than any configuration needs: the parser below
-// would use the stack for each.
+// would use the stack for each. Lines of comment do not count, unless there are strings of several
+// lines, in which such a line may be something else.
 bool nests_too_deep(const std::string& text) {
   constexpr int kDeepest = 16;
+  const bool long_strings =
+      text.find("\"\"\"") != std::string::npos || text.find("'''") != std::string::npos;
+  std::istringstream lines(text);
   int depth = 0;
-  for (const char c : text) {
-    if (c == '[' || c == '{') ++depth;
-    if (c == ']' || c == '}') --depth;
-    if (c == '\n') depth = std::max(depth, 0);
-    if (depth > kDeepest) return true;
+  for (std::string line; std::getline(lines, line);) {
+    const std::size_t first = line.find_first_not_of(" \t");
+    if (first == std::string::npos || (line[first] == '#' && !long_strings)) continue;
+    for (const char c : line) {
+      if (c == '[' || c == '{') ++depth;
+      if (c == ']' || c == '}') --depth;
+      if (depth > kDeepest) return true;
+    }
+    depth = std::max(depth, 0);
   }
   return false;
 }

@@ -192,6 +192,12 @@ TEST_F(ConfigFile, BracketsWithoutEndAreRefusedBeforeTheyEatTheStack) {
               HasSubstr("too deep in each other"));
 }
 
+TEST_F(ConfigFile, BracketsInCommentsDoNotCount) {
+  std::string text = "[camera]\n";
+  for (int i = 0; i < 40; ++i) text += "# a share in [0, 1)\n";
+  EXPECT_EQ(error_of(text + "width = 320\n"), "");
+}
+
 TEST_F(ConfigFile, ANetworkSmallerThanItCanBeIsRefused) {
   const auto config = load_config({write("[model]\nwidth = 32\nheight = 32\n"), {}, {}});
   EXPECT_EQ(config.code(), StatusCode::kInvalidInput);
