@@ -16,7 +16,7 @@ run=(
 )
 test=(
   libgtest-dev libgmock-dev libumockdev-dev umockdev clang-format clang-tidy chromium
-  fonts-dejavu-core nodejs npm opencv-doc g++-11
+  fonts-dejavu-core git nodejs npm opencv-doc g++-11
 )
 train=(libtorch-dev libopenblas0-pthread)
 
