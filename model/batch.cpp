@@ -7,7 +7,7 @@
 namespace lcdm::model {
 namespace {
 
-constexpr std::size_t kAhead = 3;
+constexpr int kDrawsPerSample = 8;  // of frames, until one can be read
 constexpr double kMean = 0.45;
 constexpr double kDeviation = 0.225;
 
@@ -84,9 +84,11 @@ torch::Tensor normalised(const cv::Mat& rgb) {
   return torch::from_blob(out.data, {out.rows, out.cols, 3}, torch::kFloat32).clone();
 }
 
-AugmentedSample augment(const Pack& pack, std::size_t index, const BatchShape& shape,
-                        SampleRandom& random) {
-  const PackFrame& frame = pack.frames[index];
+Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const BatchShape& shape,
+                                SampleRandom& random) {
+  const Result<PackFrame> read = pack.frames->read(index);
+  if (!read) return read.status();
+  const PackFrame& frame = *read;
   const double aspect =
       static_cast<double>(shape.width) / shape.height * random.uniform(0.88, 1.14);
   const cv::Rect crop = random_crop(frame.rgb.size(), aspect, random);
@@ -112,9 +114,12 @@ AugmentedSample augment(const Pack& pack, std::size_t index, const BatchShape& s
   jitter_colour(out.rgb, random);
   cv::resize(frame.depth(crop), out.depth, size, 0, 0, cv::INTER_NEAREST);
   out.depth *= shape.canonical_focal / out.camera.fx;
-  if (shape.views && pack.has_neighbours(index)) {
-    out.earlier = cut_out(pack.frames[index - 1].rgb);
-    out.later = cut_out(pack.frames[index + 1].rgb);
+  if (shape.views && pack.frames->has_neighbours(index)) {
+    const Result<cv::Mat> earlier = pack.frames->neighbour(index, -1);
+    const Result<cv::Mat> later = pack.frames->neighbour(index, 1);
+    if (!earlier || !later) return (earlier ? later : earlier).status();
+    out.earlier = cut_out(*earlier);
+    out.later = cut_out(*later);
   }
   if (random.chance(0.5)) {
     for (cv::Mat* picture : {&out.rgb, &out.plain, &out.depth, &out.earlier, &out.later}) {
@@ -145,88 +150,103 @@ void add_views(const AugmentedSample& sample, std::int64_t i, Views& views) {
 
 }  // namespace
 
-Batch make_batch(const std::vector<Pack>& packs, const BatchShape& shape, std::uint64_t seed,
-                 std::uint64_t step) {
+namespace {
+
+// A random sample of a random pack; other draws follow where a frame cannot be read.
+struct Draw {
+  const Pack* pack = nullptr;
+  AugmentedSample sample;
+};
+Result<Draw> draw_sample(const std::vector<Pack>& packs, const BatchShape& shape,
+                         SampleRandom& random, int& unreadable) {
+  Status last;
+  for (int i = 0; i < kDrawsPerSample; ++i) {
+    const Pack& pack = draw_pack(packs, shape.wide, random);
+    const std::size_t index = pack.train[random.below(pack.train.size())];
+    Result<AugmentedSample> sample = augment(pack, index, shape, random);
+    if (sample) return Draw{&pack, std::move(*sample)};
+    last = sample.status();
+    ++unreadable;
+  }
+  return last;
+}
+
+Target empty_target(const BatchShape& shape) {
+  const std::int64_t n = shape.images;
+  return {torch::empty({n, 1, shape.height, shape.width}), torch::zeros({n}), torch::zeros({n}),
+          torch::zeros({n}, torch::kLong)};
+}
+
+}  // namespace
+
+Result<Batch> make_batch(const std::vector<Pack>& packs, const BatchShape& shape,
+                         std::uint64_t seed, std::uint64_t number) {
   const auto n = static_cast<std::int64_t>(shape.images);
   const std::vector<std::int64_t> colours = {n, 3, shape.height, shape.width};
   std::vector<CameraModel> cameras;
   std::vector<torch::Tensor> rgb;
   Batch batch;
   Target& target = batch.target;
-  target.depth = torch::empty({n, 1, shape.height, shape.width});
-  target.weight = torch::zeros({n});
-  target.sharp = torch::zeros({n});
-  target.reliable = torch::zeros({n}, torch::kBool);
+  target = empty_target(shape);
   if (shape.views) {
     batch.views = {torch::empty(colours), torch::empty(colours), torch::empty(colours),
                    torch::zeros({n})};
   }
   for (std::int64_t i = 0; i < n; ++i) {
-    SampleRandom random(seed, step, static_cast<std::uint64_t>(i));
-    const Pack& pack = draw_pack(packs, shape.wide, random);
-    const std::size_t index = pack.train[random.below(pack.train.size())];
-    const AugmentedSample sample = augment(pack, index, shape, random);
-    const bool sensor = pack.use.teacher == PackUse::Teacher::kSensor;
-    rgb.push_back(normalised(sample.rgb));
-    cameras.push_back(sample.camera);
-    target.depth[i] = planes_of(sample.depth);
-    target.weight[i] = pack.use.weight;
-    target.sharp[i] = sensor ? 1.0F : 0.0F;
-    target.reliable[i] = sensor;
-    if (shape.views) add_views(sample, i, batch.views);
+    SampleRandom random(seed, number, static_cast<std::uint64_t>(shape.first + i));
+    const Result<Draw> draw = draw_sample(packs, shape, random, batch.unreadable);
+    if (!draw) return draw.status();
+    const PackUse& use = draw->pack->use;
+    rgb.push_back(normalised(draw->sample.rgb));
+    cameras.push_back(draw->sample.camera);
+    target.depth[i] = planes_of(draw->sample.depth);
+    target.weight[i] = use.weight;
+    target.sharp[i] = use.teacher == Teacher::kSensor ? 1.0F : 0.0F;
+    target.alignment[i] = static_cast<std::int64_t>(use.alignment);
+    if (shape.views) add_views(draw->sample, i, batch.views);
   }
   batch.rgb = torch::stack(rgb).permute({0, 3, 1, 2});
   batch.cameras = pinholes_of(cameras);
   return batch;
 }
 
+Batch Batch::map(const std::function<torch::Tensor(const torch::Tensor&)>& change) const {
+  const auto of = [&](const torch::Tensor& all) { return all.defined() ? change(all) : all; };
+  Batch out;
+  out.rgb = of(rgb);
+  out.cameras = {of(cameras.fx), of(cameras.fy), of(cameras.cx), of(cameras.cy)};
+  out.target = {of(target.depth), of(target.weight), of(target.sharp), of(target.alignment)};
+  out.views = {of(views.here), of(views.earlier), of(views.later), of(views.present)};
+  out.unreadable = unreadable;
+  return out;
+}
+
 Batch Batch::part(std::int64_t first, std::int64_t count) const {
-  const auto cut = [&](const torch::Tensor& all) {
-    return all.defined() ? all.narrow(0, first, count) : all;
-  };
-  return {cut(rgb),
-          {cut(cameras.fx), cut(cameras.fy), cut(cameras.cx), cut(cameras.cy)},
-          {cut(target.depth), cut(target.weight), cut(target.sharp), cut(target.reliable)},
-          {cut(views.here), cut(views.earlier), cut(views.later), cut(views.present)}};
+  return map([&](const torch::Tensor& all) { return all.narrow(0, first, count); });
+}
+
+Batch Batch::to(const torch::Device& device) const {
+  return map([&](const torch::Tensor& all) { return all.to(device); });
 }
 
 BatchLoader::BatchLoader(const std::vector<Pack>& packs, std::vector<BatchShape> shapes,
-                         std::uint64_t seed, std::uint64_t first)
-    : packs_(packs), shapes_(std::move(shapes)), seed_(seed), step_(first) {
-  worker_ = std::thread([this] { work(); });
+                         std::uint64_t seed, std::uint64_t first, std::size_t ahead)
+    : packs_(packs), shapes_(std::move(shapes)), seed_(seed), number_(first) {
+  while (running_.size() < ahead) start_one();
 }
 
-BatchLoader::~BatchLoader() {
-  {
-    const std::lock_guard lock(mutex_);
-    stop_ = true;
-  }
-  changed_.notify_all();
-  worker_.join();
+void BatchLoader::start_one() {
+  running_.push_back(std::async(std::launch::async, [this, number = number_] {
+    return make_batch(packs_, shapes_[number % shapes_.size()], seed_, number);
+  }));
+  ++number_;
 }
 
-Batch BatchLoader::next() {
-  std::unique_lock lock(mutex_);
-  changed_.wait(lock, [this] { return !ready_.empty(); });
-  Batch batch = std::move(ready_.front());
-  ready_.pop_front();
-  changed_.notify_all();
+Result<Batch> BatchLoader::next() {
+  Result<Batch> batch = running_.front().get();
+  running_.pop_front();
+  start_one();
   return batch;
-}
-
-void BatchLoader::work() {
-  for (;;) {
-    {
-      std::unique_lock lock(mutex_);
-      changed_.wait(lock, [this] { return stop_ || ready_.size() < kAhead; });
-      if (stop_) return;
-    }
-    Batch batch = make_batch(packs_, shapes_[step_ % shapes_.size()], seed_, step_);
-    ++step_;
-    const std::lock_guard lock(mutex_);
-    ready_.push_back(std::move(batch));
-    changed_.notify_all();
-  }
 }
 
 }  // namespace lcdm::model

@@ -1,17 +1,15 @@
-// Augmented batches: each a function of the seed and the step's number alone, made ahead by one
-// thread.
+// Augmented batches: each a function of the seed and the batch's number alone, made ahead by
+// threads.
 #pragma once
 
-#include <condition_variable>
 #include <cstdint>
 #include <deque>
-#include <mutex>
-#include <thread>
+#include <future>
 #include <vector>
 
-#include "model/losses.h"
 #include "model/pack.h"
 #include "model/torch.h"
+#include "model/training_batch.h"
 
 namespace lcdm::model {
 
@@ -25,6 +23,7 @@ struct BatchShape {
   int images = 0;
   bool wide = false;
   bool views = false;  // with the neighbouring frames
+  int first = 0;       // number of its first sample in a batch that several processes share
 };
 
 // Random numbers of one sample; the same on every machine.
@@ -52,38 +51,33 @@ struct AugmentedSample {
   CameraModel camera;  // of the crop at its new size, flipped
 };
 // Frame `index` of the pack under a random crop (50 to 100 % of the largest of about the shape's
-// aspect), flip and colour jitter.
-AugmentedSample augment(const Pack& pack, std::size_t index, const BatchShape& shape,
-                        SampleRandom& random);
+// aspect), flip and colour jitter. Errors as Frames::read.
+Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const BatchShape& shape,
+                                SampleRandom& random);
 
-// Batch number `step`: packs drawn by their share for the shape.
-Batch make_batch(const std::vector<Pack>& packs, const BatchShape& shape, std::uint64_t seed,
-                 std::uint64_t step);
+// Batch `number`: packs drawn by their share for the shape. Frames that cannot be read are counted
+// and replaced by others. The error of the last one where most cannot.
+Result<Batch> make_batch(const std::vector<Pack>& packs, const BatchShape& shape,
+                         std::uint64_t seed, std::uint64_t number);
 
-// Makes the batches `first`, `first` + 1, ... ahead in a thread of its own, at most three waiting.
+// Makes the batches `first`, `first` + 1, ... ahead, each in a thread of its own, `ahead` at a
+// time.
 class BatchLoader {
  public:
-  // `shapes[i % shapes.size()]` is the shape of step i. `packs` must outlive the loader.
+  // `shapes[i % shapes.size()]` is the shape of batch i. `packs` must outlive the loader.
   BatchLoader(const std::vector<Pack>& packs, std::vector<BatchShape> shapes, std::uint64_t seed,
-              std::uint64_t first);
-  ~BatchLoader();
-  BatchLoader(const BatchLoader&) = delete;
-  BatchLoader& operator=(const BatchLoader&) = delete;
+              std::uint64_t first, std::size_t ahead);
 
-  Batch next();
+  Result<Batch> next();
 
  private:
-  void work();
+  void start_one();
 
   const std::vector<Pack>& packs_;
   std::vector<BatchShape> shapes_;
   std::uint64_t seed_;
-  std::uint64_t step_;  // of the next batch to make; the worker's
-  std::mutex mutex_;
-  std::condition_variable changed_;
-  std::deque<Batch> ready_;  // guarded by mutex_
-  bool stop_ = false;        // guarded by mutex_
-  std::thread worker_;
+  std::uint64_t number_;  // of the next batch to start
+  std::deque<std::future<Result<Batch>>> running_;
 };
 
 }  // namespace lcdm::model

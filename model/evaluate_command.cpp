@@ -2,8 +2,8 @@
 #include <filesystem>
 #include <opencv2/imgcodecs.hpp>
 
+#include "model/catalogue.h"
 #include "model/commands.h"
-#include "model/data.h"
 #include "model/evaluation.h"
 #include "model/trainer.h"
 
@@ -15,11 +15,15 @@ namespace fs = std::filesystem;
 struct Options {
   DataOptions data;
   std::string checkpoint;
+  std::vector<int> steps;
   std::string model;
   std::string estimates;
   std::string pack;
   std::string pictures;
+  std::string frames;
   bool test = false;
+  bool no_scaling = false;
+  double blur = 0;
   double share = 1;
 };
 
@@ -28,78 +32,113 @@ struct Candidate {
   Estimator estimator;
 };
 
-void print_row(const std::string& pack, const std::string& name, const PackResult& result) {
+// One row per frame, candidate and set.
+class FrameTable {
+ public:
+  ~FrameTable() {
+    if (file_ != nullptr) std::fclose(file_);
+  }
+  FrameTable() = default;
+  FrameTable(const FrameTable&) = delete;
+  FrameTable& operator=(const FrameTable&) = delete;
+
+  Status open(const std::string& path) {
+    file_ = std::fopen(path.c_str(), "w");
+    if (file_ == nullptr) return Status::system(errno, "--frames %s: cannot write", path.c_str());
+    std::fprintf(file_, "set,estimate,frame,abs_rel,sq_rel,rmse,rmse_log,d1,d2,d3\n");
+    return Status::ok();
+  }
+  void add(const std::string& set, const std::string& estimate, const SetResult& result) {
+    if (file_ == nullptr) return;
+    for (const FrameResult& frame : result.frames) {
+      const Metrics& m = frame.metrics;
+      std::fprintf(file_, "%s,%s,%s,%.6g,%.6g,%.6g,%.6g,%.6g,%.6g,%.6g\n", set.c_str(),
+                   estimate.c_str(), frame.name.c_str(), m.abs_rel, m.sq_rel, m.rmse, m.rmse_log,
+                   m.delta1, m.delta2, m.delta3);
+    }
+  }
+
+ private:
+  std::FILE* file_ = nullptr;
+};
+
+void print_row(const std::string& set, const std::string& name, const SetResult& result,
+               const Difference& to_first) {
   const Metrics& m = result.mean;
-  std::printf("| %s | %s | %zu | %.3f | %.3f | %.3f | %.3f | %.3f | %.3f | %.3f |\n", pack.c_str(),
-              name.c_str(), result.images.size(), m.abs_rel, m.sq_rel, m.rmse, m.rmse_log, m.delta1,
+  std::printf("| %s | %s | %zu | %.3f | %.3f | %.3f | %.3f | %.3f | %.3f | %.3f |", set.c_str(),
+              name.c_str(), result.frames.size(), m.abs_rel, m.sq_rel, m.rmse, m.rmse_log, m.delta1,
               m.delta2, m.delta3);
+  if (to_first.frames > 0) {
+    std::printf(" %+.3f [%+.3f, %+.3f] |\n", to_first.mean, to_first.low, to_first.high);
+  } else {
+    std::printf(" |\n");
+  }
+  if (result.missing > 0) {
+    std::fprintf(stderr, "%s, %s: %zu frames have no estimate or no ground truth\n", set.c_str(),
+                 name.c_str(), result.missing);
+  }
   std::fflush(stdout);
 }
 
-// Every eighth frame's picture, at most four of a pack.
-void write_pictures(const fs::path& folder, const Pack& pack,
-                    const std::vector<std::size_t>& frames, const Candidate& candidate) {
+// At most four frames of a set, evenly spaced.
+void write_pictures(const fs::path& folder, const Pack& pack, const Candidate& candidate) {
   fs::create_directories(folder);
-  const std::size_t stride = std::max<std::size_t>(1, frames.size() / 4);
-  for (std::size_t i = 0; i < frames.size(); i += stride) {
-    const PackFrame& frame = pack.frames[frames[i]];
-    const cv::Mat estimate = candidate.estimator(frame);
+  const std::size_t stride = std::max<std::size_t>(1, pack.validation.size() / 4);
+  for (std::size_t i = 0; i < pack.validation.size(); i += stride) {
+    const Result<PackFrame> frame = pack.frames->read(pack.validation[i]);
+    if (!frame) continue;
+    const cv::Mat estimate = candidate.estimator(*frame);
     if (estimate.empty()) continue;
-    cv::imwrite(
-        (folder / (pack.use.name + "-" + frame.name + "-" + candidate.name + ".png")).string(),
-        comparison_picture(frame, estimate));
+    std::string name = pack.use.name + "-" + frame->name + "-" + candidate.name + ".png";
+    std::replace(name.begin(), name.end(), '/', '-');
+    cv::imwrite((folder / name).string(), comparison_picture(*frame, {estimate}));
   }
 }
 
-void evaluate_pack(const Options& options, const Pack& pack, const std::vector<std::size_t>& frames,
-                   std::vector<Candidate> candidates) {
-  if (frames.empty()) return;
+void evaluate_pack(const Options& options, const Pack& pack, Protocol protocol,
+                   const std::string& root, std::vector<Candidate> candidates, FrameTable& table) {
+  if (pack.validation.empty()) return;
   // Against the teacher's own maps there is nothing to learn about the teacher.
-  if (pack.use.teacher == PackUse::Teacher::kSensor) {
-    candidates.push_back({"teacher METER", teacher_estimator(pack.use, options.data.root)});
+  const fs::path maps = fs::path(root) / pack.use.name / pack.use.maps;
+  if (pack.use.teacher == Teacher::kSensor && fs::is_directory(maps)) {
+    candidates.push_back({"teacher " + pack.use.maps, maps_estimator(maps.string())});
   }
-  candidates.push_back({"constant", constant_estimator()});
+  protocol.median_scaling = !options.no_scaling;
+  if (protocol.median_scaling) candidates.push_back({"constant", constant_estimator()});
+  SetResult first;
   for (const Candidate& candidate : candidates) {
-    const PackResult result =
-        evaluate(pack, frames, protocol_of(pack.use.name), candidate.estimator);
-    if (!result.images.empty()) print_row(pack.use.name, candidate.name, result);
+    const SetResult result =
+        evaluate(*pack.frames, pack.validation, protocol, candidate.estimator, options.blur);
+    if (result.frames.empty()) continue;
+    const bool is_first = first.frames.empty();
+    print_row(pack.use.name, candidate.name, result,
+              is_first ? Difference() : paired_difference(result, first, &Metrics::abs_rel));
+    table.add(pack.use.name, candidate.name, result);
+    if (is_first) first = result;
   }
-  if (!options.pictures.empty()) {
-    write_pictures(options.pictures, pack, frames, candidates.front());
-  }
-}
-
-Status no_such_pack(const Options& options) {
-  return Status::error(StatusCode::kInvalidInput,
-                       "--only %s: no pack of this name among the %s packs", options.pack.c_str(),
-                       options.test ? "test" : "training");
+  if (!options.pictures.empty()) write_pictures(options.pictures, pack, candidates.front());
 }
 
 Status evaluate_all(const Options& options, const std::vector<Candidate>& candidates) {
-  bool found = options.pack.empty();
+  const Result<Data> data =
+      options.test ? load_test_data(options.data) : load_training_data(options.data);
+  if (!data) return data.status();
+  FrameTable table;
+  if (!options.frames.empty()) LCDM_RETURN_IF_ERROR(table.open(options.frames));
   std::printf(
-      "| pack | estimate | images | AbsRel | SqRel | RMSE | RMSElog | d1 | d2 | d3 |\n"
-      "|---|---|---|---|---|---|---|---|---|---|\n");
-  if (!options.test) {
-    const Result<std::vector<Pack>> packs = load_training_data(options.data);
-    if (!packs) return packs.status();
-    for (const Pack& pack : *packs) {
-      if (!options.pack.empty() && pack.use.name != options.pack) continue;
-      found = true;
-      evaluate_pack(options, pack, pack.validation, candidates);
-    }
-    return found ? Status::ok() : no_such_pack(options);
-  }
-  for (const PackUse& use : test_packs()) {
-    if (!options.pack.empty() && use.name != options.pack) continue;
+      "| set | estimate | frames | AbsRel | SqRel | RMSE | RMSElog | d1 | d2 | d3 | AbsRel minus "
+      "the "
+      "first's [95 %%] |\n|---|---|---|---|---|---|---|---|---|---|---|\n");
+  bool found = false;
+  for (std::size_t i = 0; i < data->packs.size(); ++i) {
+    const Pack& pack = data->packs[i];
+    if (!options.pack.empty() && pack.use.name != options.pack) continue;
     found = true;
-    const Result<Pack> pack = load_pack(options.data.root, use, 1 << 14, 1);
-    if (!pack) return pack.status();
-    std::vector<std::size_t> all(pack->frames.size());
-    for (std::size_t i = 0; i < all.size(); ++i) all[i] = i;
-    evaluate_pack(options, *pack, all, candidates);
+    evaluate_pack(options, pack, data->protocols[i], data->root, candidates, table);
   }
-  return found ? Status::ok() : no_such_pack(options);
+  if (found) return Status::ok();
+  return Status::error(StatusCode::kInvalidInput, "--only %s: no set of this name among the %s",
+                       options.pack.c_str(), options.test ? "test sets" : "training packs");
 }
 
 Status run(const Options& options) {
@@ -109,8 +148,11 @@ Status run(const Options& options) {
     const Result<DepthNetwork> loaded = load_checkpoint(options.checkpoint);
     if (!loaded) return loaded.status();
     network = *loaded;
-    const int steps = static_cast<int>(network->config.steps.size());
-    for (int n = steps; n >= 0; --n) {
+    std::vector<int> steps = options.steps;
+    if (steps.empty()) {
+      for (auto n = static_cast<int>(network->config.steps.size()); n >= 0; --n) steps.push_back(n);
+    }
+    for (const int n : steps) {
       candidates.push_back(
           {std::to_string(n) + "-step", network_estimator(network, n, options.share)});
     }
@@ -134,19 +176,30 @@ Status run(const Options& options) {
 
 void add_evaluate(CLI::App& app, Status& status) {
   auto* command = app.add_subcommand(
-      "evaluate", "Seven depth metrics, median-scaled, beside a constant depth and the teacher");
+      "evaluate", "Seven depth metrics beside a constant depth and the teacher's maps");
   auto options = std::make_shared<Options>();
   add_data_options(*command, options->data);
-  command->add_option("--checkpoint", options->checkpoint, "Training checkpoint: 0, 1 and 2 steps")
+  command->add_option("--checkpoint", options->checkpoint, "Training checkpoint")
       ->check(CLI::ExistingFile);
+  command
+      ->add_option("--steps", options->steps,
+                   "Sampling steps of the checkpoint, such as 0 1 2 3 5 10 (0 to its own)")
+      ->check(CLI::Range(0, ModelConfig::kDiffusionSteps));
   command->add_option("--model", options->model, "Exported model file")->check(CLI::ExistingFile);
   command->add_option("--estimates", options->estimates, "Folder of NAME.tiff or NAME.png depth")
       ->check(CLI::ExistingDirectory);
-  command->add_option("--only", options->pack, "Only the pack of this name");
+  command->add_option("--only", options->pack, "Only the set of this name");
   command->add_option("--share", options->share, "Input size as a share of the deployed one")
       ->check(CLI::Range(0.2, 2.0))
       ->capture_default_str();
-  command->add_flag("--test", options->test, "The test packs instead of the validation parts");
+  command
+      ->add_option("--blur", options->blur,
+                   "Motion blur of this many pixels of a 640 pixels wide picture")
+      ->check(CLI::Range(0.0, 200.0));
+  command->add_flag("--test", options->test, "The test sets instead of the validation parts");
+  command->add_flag("--no-scaling", options->no_scaling,
+                    "Metres as they come, not scaled by the medians");
+  command->add_option("--frames", options->frames, "CSV file for the figures of every frame");
   command->add_option("--pictures", options->pictures,
                       "Folder for pictures: frame, truth, first estimate");
   command->callback([options, &status] { status = run(*options); });

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <filesystem>
+#include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -69,11 +70,26 @@ cv::Size deployed_size(cv::Size picture, double share) {
   return {scaled(best[0]), scaled(best[1])};
 }
 
+namespace {
+
+// Canonical depth of the whole frame at the input's width -> metres along the frame's axis.
+cv::Mat metres_of(const torch::Tensor& canonical, const PackFrame& frame,
+                  const ModelConfig& config) {
+  cv::Mat depth = to_mat(canonical.cpu());
+  const double deployed = deployed_size(frame.rgb.size()).width;
+  const double focal = frame.camera.fx * deployed / std::max(1, frame.camera.width);
+  return depth * (focal / config.canonical_focal);
+}
+
+}  // namespace
+
 Estimator network_estimator(DepthNetwork& network, int steps, double share) {
   return [&network, steps, share](const PackFrame& frame) {
     const torch::NoGradGuard no_grad;
-    const torch::Tensor condition = network->condition_of(input_of(frame, share));
-    return to_mat(depth_of_variable(network->sample(condition, steps), network->config));
+    const torch::Device device = network->direct->weight.device();
+    const torch::Tensor condition = network->condition_of(input_of(frame, share).to(device));
+    const torch::Tensor variable = network->sample(condition, steps);
+    return metres_of(depth_of_variable(variable, network->config), frame, network->config);
   };
 }
 
@@ -84,19 +100,19 @@ Result<Estimator> file_estimator(const std::string& path, double share) {
   if (!layers) return layers.status();
   LCDM_RETURN_IF_ERROR(layers->check_weights(*file));
   auto net = std::make_shared<FoldedNet>(*file);
-  return Estimator([net, share](const PackFrame& frame) {
+  return Estimator([net, share, config = file->config()](const PackFrame& frame) {
     const torch::NoGradGuard no_grad;
-    return to_mat(net->forward(input_of(frame, share).contiguous()));
+    return metres_of(net->forward(input_of(frame, share).contiguous()), frame, config);
   });
 }
 
-Estimator teacher_estimator(const PackUse& use, const std::string& root) {
-  return [folder = fs::path(root) / use.name / "teacher_meter"](const PackFrame& frame) {
-    const fs::path path = folder / (frame.name + ".png");
+Estimator maps_estimator(const std::string& folder) {
+  return [root = fs::path(folder)](const PackFrame& frame) {
+    const fs::path path = root / (frame.name + ".png");
     cv::Mat depth;
     if (!fs::exists(path)) return depth;
     const cv::Mat raw = cv::imread(path.string(), cv::IMREAD_UNCHANGED);
-    if (!raw.empty()) raw.convertTo(depth, CV_32F, 1.0 / 256);
+    if (raw.type() == CV_16UC1 && !raw.empty()) raw.convertTo(depth, CV_32F, 1.0 / 256);
     return depth;
   };
 }
@@ -120,40 +136,84 @@ Estimator constant_estimator() {
   return [](const PackFrame& frame) { return cv::Mat(frame.depth.size(), CV_32F, cv::Scalar(1)); };
 }
 
-PackResult evaluate(const Pack& pack, const std::vector<std::size_t>& frames,
-                    const Protocol& protocol, const Estimator& estimator) {
-  PackResult result;
+cv::Mat motion_blurred(const cv::Mat& rgb, double length, std::size_t index) {
+  constexpr double kGoldenAngle = 2.39996323;  // radians
+  const double pixels = length * rgb.cols / 640;
+  const int side = 2 * static_cast<int>(std::ceil(pixels / 2)) + 1;
+  const double angle = kGoldenAngle * static_cast<double>(index);
+  cv::Mat kernel = cv::Mat::zeros(side, side, CV_32F);
+  constexpr int kTaps = 256;  // points of the path
+  for (int i = 0; i < kTaps; ++i) {
+    const double along = pixels * ((i + 0.5) / kTaps - 0.5);
+    const int x = cvRound(side / 2 + along * std::cos(angle));
+    const int y = cvRound(side / 2 + along * std::sin(angle));
+    kernel.at<float>(y, x) += 1.0F / kTaps;
+  }
+  cv::Mat blurred;
+  cv::filter2D(rgb, blurred, -1, kernel, {-1, -1}, 0, cv::BORDER_REPLICATE);
+  return blurred;
+}
+
+SetResult evaluate(const Frames& set, const std::vector<std::size_t>& frames,
+                   const Protocol& protocol, const Estimator& estimator, double blur) {
+  SetResult result;
+  std::vector<Metrics> all;
   for (const std::size_t index : frames) {
-    const PackFrame& frame = pack.frames[index];
-    const cv::Mat estimate = estimator(frame);
+    Result<PackFrame> frame = set.read(index);
+    if (frame && blur > 0) frame->rgb = motion_blurred(frame->rgb, blur, index);
+    const cv::Mat estimate = frame ? estimator(*frame) : cv::Mat();
     Metrics metrics;
-    if (estimate.empty() || !measure(estimate, frame.depth, protocol, metrics)) {
+    if (estimate.empty() || !measure(estimate, frame->depth, protocol, metrics)) {
       ++result.missing;
       continue;
     }
-    result.images.push_back(metrics);
+    all.push_back(metrics);
+    result.frames.push_back({frame->name, metrics});
   }
-  result.mean = mean_of(result.images);
+  result.mean = mean_of(all);
   return result;
 }
 
-Protocol protocol_of(const std::string& pack) {
-  if (pack == "scene") return Protocol::scene();
-  return pack.find("indoor") != std::string::npos || pack.find("rooms") != std::string::npos ||
-                 pack.find("7scenes") != std::string::npos
-             ? Protocol::indoor()
-             : Protocol::driving();
+Difference paired_difference(const SetResult& a, const SetResult& b, double Metrics::*metric) {
+  constexpr int kDraws = 10000;
+  std::map<std::string, double> others;
+  for (const FrameResult& frame : b.frames) others[frame.name] = frame.metrics.*metric;
+  std::vector<double> differences;
+  for (const FrameResult& frame : a.frames) {
+    const auto other = others.find(frame.name);
+    if (other != others.end()) differences.push_back(frame.metrics.*metric - other->second);
+  }
+  Difference out;
+  out.frames = differences.size();
+  if (differences.empty()) return out;
+  const auto n = static_cast<double>(differences.size());
+  for (const double difference : differences) out.mean += difference / n;
+  SampleRandom random(1, differences.size(), 0);
+  std::vector<double> means(kDraws);
+  for (double& mean : means) {
+    for (std::size_t i = 0; i < differences.size(); ++i) {
+      mean += differences[random.below(differences.size())] / n;
+    }
+  }
+  std::sort(means.begin(), means.end());
+  out.low = means[kDraws / 40];
+  out.high = means[kDraws - 1 - kDraws / 40];
+  return out;
 }
 
-cv::Mat comparison_picture(const PackFrame& frame, const cv::Mat& estimate) {
+cv::Mat comparison_picture(const PackFrame& frame, const std::vector<cv::Mat>& estimates) {
   cv::Mat bgr;
   cv::cvtColor(frame.rgb, bgr, cv::COLOR_RGB2BGR);
-  cv::Mat resized;
-  cv::resize(estimate, resized, frame.rgb.size(), 0, 0, cv::INTER_NEAREST);
   cv::Mat truth = frame.depth.clone();
   truth.setTo(0, truth > 100);
+  std::vector<cv::Mat> parts = {bgr, colour_of(truth)};
+  for (const cv::Mat& estimate : estimates) {
+    cv::Mat resized;
+    cv::resize(estimate, resized, frame.rgb.size(), 0, 0, cv::INTER_NEAREST);
+    parts.push_back(colour_of(resized));
+  }
   cv::Mat row;
-  cv::hconcat(std::vector<cv::Mat>{bgr, colour_of(truth), colour_of(resized)}, row);
+  cv::hconcat(parts, row);
   return row;
 }
 

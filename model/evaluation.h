@@ -1,8 +1,7 @@
-// Depth of a network beside ground truth, over whole packs.
+// Depth of a network beside ground truth, over whole sets of frames.
 #pragma once
 
 #include <functional>
-#include <map>
 #include <string>
 #include <vector>
 
@@ -12,7 +11,7 @@
 
 namespace lcdm::model {
 
-// Depth up to scale of one frame: CV_32F, any size; empty: none for this frame.
+// Depth of one frame: CV_32F metres, any size; empty: none for this frame.
 using Estimator = std::function<cv::Mat(const PackFrame&)>;
 
 // The network at 0, 1 or more sampling steps, fed as the device feeds it: the whole frame at the
@@ -21,8 +20,8 @@ using Estimator = std::function<cv::Mat(const PackFrame&)>;
 Estimator network_estimator(DepthNetwork& network, int steps, double share = 1);
 // An exported file, with its own sampler. kInvalidInput where it cannot be used.
 Result<Estimator> file_estimator(const std::string& path, double share = 1);
-// The teacher's stored maps of the frame's pack: root/pack/teacher_meter.
-Estimator teacher_estimator(const PackUse& use, const std::string& root);
+// A folder of a teacher's maps, NAME.png in 1/256 m.
+Estimator maps_estimator(const std::string& folder);
 // NAME.tiff (float metres) or NAME.png (16 bit, millimetres) of a folder.
 Estimator folder_estimator(const std::string& folder);
 Estimator constant_estimator();
@@ -30,19 +29,36 @@ Estimator constant_estimator();
 // The network's deployed input size for a picture of this size.
 cv::Size deployed_size(cv::Size picture, double share = 1);
 
-struct PackResult {
-  Metrics mean;
-  std::vector<Metrics> images;
-  std::size_t missing = 0;  // frames without estimate or ground truth
+// The picture as a camera sees it that moves `length` pixels of a 640 pixels wide picture while it
+// is exposed, straight, in a direction of the frame's own (`index` turns it by the golden angle).
+cv::Mat motion_blurred(const cv::Mat& rgb, double length, std::size_t index);
+
+struct FrameResult {
+  std::string name;
+  Metrics metrics;
 };
-PackResult evaluate(const Pack& pack, const std::vector<std::size_t>& frames,
-                    const Protocol& protocol, const Estimator& estimator);
+struct SetResult {
+  Metrics mean;
+  std::vector<FrameResult> frames;
+  std::size_t missing = 0;  // frames without estimate, ground truth or readable files
+};
+// `blur`: length of a motion blur in pixels, 0 for none.
+SetResult evaluate(const Frames& set, const std::vector<std::size_t>& frames,
+                   const Protocol& protocol, const Estimator& estimator, double blur = 0);
 
-// How a pack is measured.
-Protocol protocol_of(const std::string& pack);
+// A difference of means over the same frames, with a 95 % interval by the paired bootstrap (Efron):
+// 10,000 times the frames are drawn anew with replacement.
+struct Difference {
+  double mean = 0;
+  double low = 0;
+  double high = 0;
+  std::size_t frames = 0;
+};
+// Of `metric`, a - b, over the frames that both have. Few frames give a wide and rough interval.
+Difference paired_difference(const SetResult& a, const SetResult& b, double Metrics::*metric);
 
-// A colour picture: the frame, its depth where known, and the estimate side by side (inverse
+// A colour picture: the frame, its depth where known, and the estimates side by side (inverse
 // depth).
-cv::Mat comparison_picture(const PackFrame& frame, const cv::Mat& estimate);
+cv::Mat comparison_picture(const PackFrame& frame, const std::vector<cv::Mat>& estimates);
 
 }  // namespace lcdm::model

@@ -67,7 +67,7 @@ torch::Tensor rigid_motion(const torch::Tensor& axis_angle, const torch::Tensor&
     rotation = rotation.transpose(1, 2);
     shift = -torch::matmul(rotation, shift);
   }
-  const torch::Tensor last = torch::tensor({0.0F, 0.0F, 0.0F, 1.0F}, torch::kFloat32)
+  const torch::Tensor last = torch::tensor({0.0F, 0.0F, 0.0F, 1.0F}, axis.options())
                                  .to(axis.dtype())
                                  .reshape({1, 1, 4})
                                  .expand({n, 1, 4});

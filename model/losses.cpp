@@ -12,9 +12,9 @@ using torch::indexing::Slice;
 torch::Tensor per_image_sum(const torch::Tensor& x) { return x.flatten(1).sum(1); }
 
 // Abar of every time, [150].
-torch::Tensor abar_table(PresetKind preset) {
+torch::Tensor abar_table(PresetKind preset, const torch::Device& device) {
   const std::vector<double> abar = cumulative_alphas(preset);
-  return torch::tensor(abar, torch::kFloat64).to(torch::kFloat32);
+  return torch::tensor(abar, torch::kFloat64).to(torch::kFloat32).to(device);
 }
 
 // Distillation in the preset's domain: log depth for `lcdm`, depth for `paper`.
@@ -35,7 +35,7 @@ Losses Losses::times(double factor) const {
 }
 
 void Losses::add(const Losses& other) {
-  total = total.detach() + other.total.detach();
+  total = total.detach().cpu() + other.total.detach().cpu();
   for (std::size_t i = 0; i < terms.size(); ++i) terms[i] += other.terms[i];
 }
 
@@ -78,14 +78,45 @@ torch::Tensor gradient_loss(const torch::Tensor& log_depth, const torch::Tensor&
   return total / kScales;
 }
 
+namespace {
+
+// a and b of the least squares fit a x + b = y.
+struct Line {
+  double a, b;
+};
+Line fit_line(const torch::Tensor& x, const torch::Tensor& y) {
+  const torch::Tensor x64 = x.to(torch::kFloat64);
+  const torch::Tensor y64 = y.to(torch::kFloat64);
+  const torch::Tensor dx = x64 - x64.mean();
+  const double spread = dx.square().sum().item<double>();
+  const double a = spread > 0 ? (dx * y64).sum().item<double>() / spread : 0;
+  return {a, (y64.mean() - a * x64.mean()).item<double>()};
+}
+
+// Inverse depth scaled and shifted; false where the fit turns near into far or leaves the range.
+bool align_affine(torch::Tensor log_target, const torch::Tensor& log_depth,
+                  const torch::Tensor& mask) {
+  const torch::Tensor teacher = torch::exp(-log_target);
+  const Line line =
+      fit_line(teacher.masked_select(mask), torch::exp(-log_depth).masked_select(mask));
+  const torch::Tensor inverse = teacher * line.a + line.b;
+  if (line.a <= 0 || inverse.masked_select(mask).min().item<double>() < 1 / kMaxDepth) return false;
+  log_target.copy_(torch::where(mask, -inverse.clamp_min(1 / kMaxDepth).log(), log_target));
+  return true;
+}
+
+}  // namespace
+
 torch::Tensor align_to_student(const torch::Tensor& log_target, const torch::Tensor& log_depth,
-                               const torch::Tensor& mask, const torch::Tensor& reliable) {
+                               const torch::Tensor& mask, const torch::Tensor& alignment) {
   const torch::NoGradGuard no_grad;
   torch::Tensor out = log_target.clone();
+  const torch::Tensor kinds = alignment.cpu();
   for (std::int64_t b = 0; b < out.size(0); ++b) {
-    if (reliable[b].item<bool>()) continue;
-    const torch::Tensor difference = (log_depth[b] - log_target[b]).masked_select(mask[b]);
-    if (difference.numel() > 0) out[b] += difference.median();
+    const auto kind = static_cast<Alignment>(kinds[b].item<std::int64_t>());
+    if (kind == Alignment::kNone || !mask[b].any().item<bool>()) continue;
+    if (kind == Alignment::kAffine && align_affine(out[b], log_depth[b], mask[b])) continue;
+    out[b] += (log_depth[b] - log_target[b]).masked_select(mask[b]).median();
   }
   return out;
 }
@@ -102,8 +133,10 @@ DenoisingDraw draw_denoising(const DepthNetwork& network, at::Generator& generat
   }
   const torch::Tensor pick =
       torch::randint(static_cast<std::int64_t>(mine.size()), {shape[0]}, generator, torch::kLong);
-  draw.times = torch::tensor(mine, torch::kLong).index_select(0, pick);
-  draw.noise = torch::randn(shape, generator);
+  // Drawn on the CPU, so that every device sees the same noise.
+  const torch::Device device = network->direct->weight.device();
+  draw.times = torch::tensor(mine, torch::kLong).index_select(0, pick).to(device);
+  draw.noise = torch::randn(shape, generator).to(device);
   return draw;
 }
 
@@ -112,7 +145,8 @@ torch::Tensor denoising_loss(DepthNetwork& network, const torch::Tensor& conditi
                              const torch::Tensor& mask, const torch::Tensor& weight,
                              const DenoisingDraw& draw) {
   const PresetKind preset = network->config.preset;
-  const torch::Tensor a = abar_table(preset).index_select(0, draw.times).reshape({-1, 1, 1, 1});
+  const torch::Tensor a =
+      abar_table(preset, target.device()).index_select(0, draw.times).reshape({-1, 1, 1, 1});
   const torch::Tensor signal = a.sqrt();
   const torch::Tensor spread = (1 - a).sqrt();
   const torch::Tensor x0 = torch::where(mask, target, student.detach());
@@ -153,7 +187,7 @@ class DepthLosses {
   torch::Tensor of(const torch::Tensor& variable, Losses& losses, at::Generator& generator) const {
     const Target& target = batch_.target;
     const torch::Tensor log_depth = log_depth_of_variable(variable, config_);
-    torch::Tensor total = torch::zeros({});
+    torch::Tensor total = torch::zeros({}, variable.options());
     const auto take = [&](Term term, double weight, const torch::Tensor& loss) {
       total = total + weight * loss;
       losses[term] = loss.item<double>();
@@ -223,7 +257,7 @@ Losses training_losses(TrainedNetworks& networks, const Batch& batch, const Loss
       align_to_student(torch::where(mask, target.depth, torch::ones_like(target.depth))
                            .clamp(kMinDepth, kMaxDepth)
                            .log(),
-                       log_depth_of_variable(student, config), mask, target.reliable);
+                       log_depth_of_variable(student, config), mask, target.alignment);
   const DepthLosses depth_losses(networks, batch, weights, log_target);
 
   Losses losses;

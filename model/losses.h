@@ -5,6 +5,7 @@
 #include <array>
 
 #include "firmware/nn/network_config.h"
+#include "model/pack.h"
 #include "model/torch.h"
 #include "model/trained_networks.h"
 #include "model/training_batch.h"
@@ -62,10 +63,11 @@ torch::Tensor log_depth_loss(const torch::Tensor& log_depth, const torch::Tensor
 torch::Tensor gradient_loss(const torch::Tensor& log_depth, const torch::Tensor& log_target,
                             const torch::Tensor& mask, const torch::Tensor& weight);
 
-// log_target of unreliable images moved so that its median error to the student is 0. The student
-// gets no gradient from it.
+// log_target brought to the student, who gets no gradient from it. `alignment` [B] int64 says how:
+// kScale moves an image so that its median error is 0; kAffine scales and shifts its inverse depth
+// by least squares, and falls back to kScale where that fit would be no depth.
 torch::Tensor align_to_student(const torch::Tensor& log_target, const torch::Tensor& log_depth,
-                               const torch::Tensor& mask, const torch::Tensor& reliable);
+                               const torch::Tensor& mask, const torch::Tensor& alignment);
 
 // The times and noise of one denoising pass. All times of a batch belong to one sampler step.
 struct DenoisingDraw {

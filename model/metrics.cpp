@@ -2,17 +2,29 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "model/pack.h"
 
 namespace lcdm::model {
 namespace {
 
-// Garg et al. 2016: rows and columns of the crop as shares of the picture.
-constexpr double kTop = 0.40810811;
-constexpr double kBottom = 0.99189189;
-constexpr double kLeft = 0.03594771;
-constexpr double kRight = 0.96405229;
+// Shares of the picture: Garg et al. 2016 for KITTI; Eigen et al. 2014 for NYU, rows 45 to 470 and
+// columns 41 to 600 of 640x480.
+struct Window {
+  double top, bottom, left, right;
+};
+constexpr Window kGarg{0.40810811, 0.99189189, 0.03594771, 0.96405229};
+constexpr Window kEigenIndoor{45.0 / 480, 471.0 / 480, 41.0 / 640, 601.0 / 640};
+
+cv::Rect counted_part(Protocol::Crop crop, cv::Size size) {
+  if (crop == Protocol::Crop::kNone) return {cv::Point(0, 0), size};
+  const Window& window = crop == Protocol::Crop::kGarg ? kGarg : kEigenIndoor;
+  return {cv::Point(static_cast<int>(window.left * size.width),
+                    static_cast<int>(window.top * size.height)),
+          cv::Point(static_cast<int>(window.right * size.width),
+                    static_cast<int>(window.bottom * size.height))};
+}
 
 // The middle value; of an even number the lower of the two would bias, so their mean.
 double median_of(std::vector<float> values) {
@@ -50,17 +62,27 @@ Metrics compare(const std::vector<float>& estimate, const std::vector<float>& tr
 
 }  // namespace
 
+Result<Protocol> protocol_named(const std::string& name) {
+  using Crop = Protocol::Crop;
+  static const std::map<std::string, Protocol> protocols = {
+      {"kitti", {1e-3, 80, Crop::kGarg}},      {"kitti-improved", {1e-3, 80, Crop::kNone}},
+      {"nyu", {1e-3, 10, Crop::kEigenIndoor}}, {"make3d", {1e-3, 70, Crop::kNone}},
+      {"rgbd", {0.1, 10, Crop::kNone}},        {"indoor", {0.3, 10, Crop::kNone}},
+      {"scene", {0.3, 80, Crop::kNone}},
+  };
+  const auto found = protocols.find(name);
+  if (found != protocols.end()) return found->second;
+  std::string names;
+  for (const auto& item : protocols) names += (names.empty() ? "" : ", ") + item.first;
+  return Status::error(StatusCode::kInvalidInput, "\"%s\" is no protocol: use one of %s",
+                       name.c_str(), names.c_str());
+}
+
 bool measure(const cv::Mat& estimate, const cv::Mat& truth, const Protocol& protocol,
              Metrics& metrics) {
   const cv::Mat resized =
       estimate.size() == truth.size() ? estimate : resize_inverse(estimate, truth.size());
-  cv::Rect window(0, 0, truth.cols, truth.rows);
-  if (protocol.garg_crop) {
-    window.x = static_cast<int>(kLeft * truth.cols);
-    window.y = static_cast<int>(kTop * truth.rows);
-    window.width = static_cast<int>(kRight * truth.cols) - window.x;
-    window.height = static_cast<int>(kBottom * truth.rows) - window.y;
-  }
+  const cv::Rect window = counted_part(protocol.crop, truth.size());
   std::vector<float> p;
   std::vector<float> g;
   for (int y = window.y; y < window.y + window.height; ++y) {
@@ -72,9 +94,12 @@ bool measure(const cv::Mat& estimate, const cv::Mat& truth, const Protocol& prot
     }
   }
   if (g.empty()) return false;
-  const double middle = median_of(p);
-  if (!(middle > 0)) return false;
-  const double scale = median_of(g) / middle;
+  double scale = 1;
+  if (protocol.median_scaling) {
+    const double middle = median_of(p);
+    if (!(middle > 0)) return false;
+    scale = median_of(g) / middle;
+  }
   for (float& value : p) {
     value = static_cast<float>(
         std::clamp(static_cast<double>(value) * scale, protocol.nearest, protocol.farthest));

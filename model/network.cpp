@@ -4,6 +4,7 @@
 
 #include "firmware/nn/noise.h"
 #include "firmware/nn/sampler.h"
+#include "model/autocast.h"
 
 namespace lcdm::model {
 namespace {
@@ -305,7 +306,9 @@ DepthNetworkImpl::DepthNetworkImpl(const ModelConfig& model) : config(model) {
 }
 
 torch::Tensor DepthNetworkImpl::condition_of(const torch::Tensor& rgb) {
-  return decoder->forward(encoder->forward(rgb));
+  if (!mixed_precision) return decoder->forward(encoder->forward(rgb));
+  const Autocast autocast(rgb.device().type());
+  return decoder->forward(encoder->forward(rgb)).to(torch::kFloat32);
 }
 
 torch::Tensor DepthNetworkImpl::start(int height, int width) {
@@ -314,7 +317,7 @@ torch::Tensor DepthNetworkImpl::start(int height, int width) {
     fill_gaussian(config.seed, {x.data_ptr<float>(), static_cast<std::size_t>(height) *
                                                          static_cast<std::size_t>(width)});
   }
-  return x;
+  return x.to(direct->weight.device());
 }
 
 int DepthNetworkImpl::step_of(int t) const {
@@ -337,7 +340,8 @@ torch::Tensor DepthNetworkImpl::sample(const torch::Tensor& condition, int steps
   torch::Tensor x = start(static_cast<int>(condition.size(2)), static_cast<int>(condition.size(3)))
                         .expand({condition.size(0), -1, -1, -1});
   for (const SamplerStep& step : make_sampler(schedule)) {
-    const torch::Tensor times = torch::full({condition.size(0)}, step.time, torch::kLong);
+    const torch::Tensor times =
+        torch::full({condition.size(0)}, step.time, condition.options().dtype(torch::kLong));
     const torch::Tensor out =
         head->forward(condition, x, times, step_of(step.time), Statistics::kUpdate);
     x = x * step.p + out * step.q;

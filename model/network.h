@@ -132,7 +132,8 @@ TORCH_MODULE(Head);
 struct DepthNetworkImpl : torch::nn::Module {
   explicit DepthNetworkImpl(const ModelConfig& config);
 
-  // Normalised RGB [B, 3, H, W] -> condition [B, 16, H, W].
+  // Normalised RGB [B, 3, H, W] -> condition [B, 16, H, W], float; computed in bfloat16 where
+  // `mixed_precision` is set.
   torch::Tensor condition_of(const torch::Tensor& rgb);
   // The sampler with `steps` evaluations from the fixed start; the diffusion variable
   // [B, 1, H, W]. steps = 0: the direct convolution. With config().steps.size() steps it is exactly
@@ -144,6 +145,7 @@ struct DepthNetworkImpl : torch::nn::Module {
   int step_of(int t) const;
 
   ModelConfig config;
+  bool mixed_precision = false;  // training only
   MobileVit encoder = nullptr;
   Decoder decoder = nullptr;
   Head head = nullptr;

@@ -13,12 +13,12 @@ namespace lcdm::model {
 namespace {
 
 namespace fs = std::filesystem;
-using Teacher = PackUse::Teacher;
 
 constexpr double kValidationShare = 0.1;
 constexpr std::size_t kGap = 20;
 constexpr std::size_t kLeastTraining = 10;
-constexpr float kMeterUnit = 1.0F / 256;
+constexpr float kMapUnit = 1.0F / 256;
+constexpr std::size_t kKeptFrames = 1500;
 
 Result<std::string> read_text(const fs::path& path) {
   std::ifstream file(path);
@@ -133,9 +133,10 @@ Result<cv::Mat> read_depth(const fs::path& path, double unit) {
 // The depth of the full picture of `full` pixels, sampled at `size`.
 Result<cv::Mat> load_depth(const fs::path& folder, const std::string& frame, const PackUse& use,
                            double unit, cv::Size full, cv::Size size) {
-  const fs::path maps = folder / (use.teacher == Teacher::kSensor ? "depth" : "teacher_meter");
+  if (use.teacher == Teacher::kNone) return cv::Mat(cv::Mat::zeros(size, CV_32F));
+  const fs::path maps = folder / (use.teacher == Teacher::kSensor ? "depth" : use.maps);
   const Result<cv::Mat> map =
-      read_depth(maps / (frame + ".png"), use.teacher == Teacher::kSensor ? unit : kMeterUnit);
+      read_depth(maps / (frame + ".png"), use.teacher == Teacher::kSensor ? unit : kMapUnit);
   if (!map) return map.status();
   cv::Mat depth;
   if (use.teacher == Teacher::kSensor) {
@@ -151,81 +152,95 @@ Result<cv::Mat> load_depth(const fs::path& folder, const std::string& frame, con
   return depth;
 }
 
-Result<PackFrame> load_frame(const fs::path& folder, const fs::path& picture, const PackUse& use,
-                             const Intrinsics& intrinsics, int max_width) {
-  PackFrame frame;
-  frame.name = picture.stem().string();
-  const cv::Mat bgr = cv::imread(picture.string(), cv::IMREAD_COLOR);
-  if (bgr.empty()) {
-    return Status::error(StatusCode::kCorrupt, "%s is not a picture", picture.c_str());
+// The frames of a pack's folder.
+class FolderFrames final : public Frames {
+ public:
+  FolderFrames(fs::path folder, std::vector<fs::path> pictures, PackUse use, Intrinsics intrinsics,
+               int max_width)
+      : folder_(std::move(folder)),
+        pictures_(std::move(pictures)),
+        use_(std::move(use)),
+        intrinsics_(std::move(intrinsics)),
+        max_width_(max_width) {}
+
+  std::size_t size() const override { return pictures_.size(); }
+  std::string name(std::size_t index) const override { return pictures_[index].stem().string(); }
+
+  Result<PackFrame> read(std::size_t index) const override {
+    PackFrame frame;
+    frame.name = name(index);
+    cv::Size full;
+    const Result<cv::Mat> rgb = picture(index, full);
+    if (!rgb) return rgb.status();
+    frame.rgb = *rgb;
+    frame.camera = camera_of(intrinsics_, frame.name, full, use_.field_of_view);
+    if (full != rgb->size()) frame.camera = frame.camera.resized(rgb->cols, rgb->rows);
+    const Result<cv::Mat> depth =
+        load_depth(folder_, frame.name, use_, intrinsics_.depth_unit, full, rgb->size());
+    if (!depth) return depth.status();
+    frame.depth = *depth;
+    return frame;
   }
-  cv::cvtColor(bgr, frame.rgb, cv::COLOR_BGR2RGB);
-  frame.camera = camera_of(intrinsics, frame.name, bgr.size(), use.field_of_view);
-  if (bgr.cols > max_width) {
-    const cv::Size size(max_width, cvRound(static_cast<double>(bgr.rows) * max_width / bgr.cols));
+
+  bool has_neighbours(std::size_t index) const override {
+    if (!use_.video || index == 0 || index + 1 >= pictures_.size()) return false;
+    const std::string sequence = sequence_of(name(index));
+    return sequence_of(name(index - 1)) == sequence && sequence_of(name(index + 1)) == sequence;
+  }
+
+  Result<cv::Mat> neighbour(std::size_t index, int offset) const override {
+    cv::Size full;
+    return picture(index + static_cast<std::size_t>(offset), full);
+  }
+
+ private:
+  // RGB, reduced; `full` becomes its size on disk.
+  Result<cv::Mat> picture(std::size_t index, cv::Size& full) const {
+    const fs::path& path = pictures_[index];
+    const cv::Mat bgr = cv::imread(path.string(), cv::IMREAD_COLOR);
+    if (bgr.empty()) {
+      return Status::error(StatusCode::kCorrupt, "%s is not a picture", path.c_str());
+    }
+    full = bgr.size();
+    cv::Mat rgb;
+    cv::cvtColor(bgr, rgb, cv::COLOR_BGR2RGB);
+    if (rgb.cols <= max_width_) return rgb;
+    const int height = cvRound(static_cast<double>(rgb.rows) * max_width_ / rgb.cols);
     cv::Mat reduced;
-    cv::resize(frame.rgb, reduced, size, 0, 0, cv::INTER_AREA);
-    frame.rgb = reduced;
-    frame.camera = frame.camera.resized(size.width, size.height);
+    cv::resize(rgb, reduced, {max_width_, height}, 0, 0, cv::INTER_AREA);
+    return reduced;
   }
-  Result<cv::Mat> depth =
-      load_depth(folder, frame.name, use, intrinsics.depth_unit, bgr.size(), frame.rgb.size());
-  if (!depth) return depth.status();
-  frame.depth = *depth;
-  return frame;
+
+  fs::path folder_;
+  std::vector<fs::path> pictures_;
+  PackUse use_;
+  Intrinsics intrinsics_;
+  int max_width_;
+};
+
+Result<std::shared_ptr<const Frames>> keep_in_memory(const Frames& frames, bool video) {
+  std::vector<PackFrame> kept;
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    Result<PackFrame> frame = frames.read(i);
+    if (!frame) return frame.status();
+    kept.push_back(std::move(*frame));
+  }
+  return std::shared_ptr<const Frames>(std::make_shared<MemoryFrames>(std::move(kept), video));
+}
+
+std::vector<fs::path> pictures_of(const fs::path& folder, std::size_t every) {
+  std::vector<fs::path> all;
+  for (const fs::path& place : {folder / "rgb", folder}) {  // the second: a clip
+    for (const char* extension : {".jpg", ".png"}) {
+      if (all.empty()) all = files_of(place, extension);
+    }
+  }
+  std::vector<fs::path> kept;
+  for (std::size_t i = 0; i < all.size(); i += every) kept.push_back(all[i]);
+  return kept;
 }
 
 }  // namespace
-
-const std::vector<PackUse>& training_packs() {
-  static const std::vector<PackUse> packs = {
-      {"indoor_7scenes_redkitchen", Teacher::kSensor, 0, 1, 0.10F, 0.22F, true},
-      {"indoor_hololens_dvmvs", Teacher::kSensor, 0, 1, 0.14F, 0.30F},
-      {"driving_kitti_91", Teacher::kMeter, 0, 0.5F, 0.20F, 0.04F, true},
-      {"driving_kitti_odom_grey_1", Teacher::kMeter, 0, 0.5F, 0.08F, 0.02F, true},
-      {"driving_kitti_odom_grey_2", Teacher::kMeter, 0, 0.5F, 0.08F, 0.02F, true},
-      {"driving_carnd_testvideo", Teacher::kMeter, 0, 0.4F, 0.04F, 0.03F, true},
-      {"driving_carnd_highway", Teacher::kMeter, 60, 0.4F, 0.05F, 0.03F, true},
-      {"driving_camvid_stills", Teacher::kMeter, 55, 0.3F, 0.06F, 0.06F},
-      {"clips_deepv2d/kitti_0", Teacher::kMeter, 0, 0.5F, 0.01F, 0, true},
-      {"clips_deepv2d/kitti_1", Teacher::kMeter, 0, 0.5F, 0.01F, 0, true},
-      {"clips_deepv2d/kitti_2", Teacher::kMeter, 0, 0.5F, 0.01F, 0, true},
-      {"clips_deepv2d/kitti_3", Teacher::kMeter, 0, 0.5F, 0.01F, 0, true},
-      {"clips_deepv2d/nyu_0", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
-      {"clips_deepv2d/nyu_1", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
-      {"clips_deepv2d/nyu_2", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
-      {"clips_deepv2d/nyu_3", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
-      {"clips_deepv2d/scannet_0", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
-      {"clips_deepv2d/scannet_1", Teacher::kMeter, 0, 0.5F, 0, 0.02F, true},
-  };
-  return packs;
-}
-
-const std::vector<PackUse>& test_packs() {
-  static const std::vector<PackUse> packs = {
-      {"test_7scenes_redkitchen", Teacher::kSensor},
-      {"test_realsense_rooms", Teacher::kSensor},
-      {"test_kitti_object", Teacher::kSensor},
-  };
-  return packs;
-}
-
-namespace {
-
-// A frame's name up to the first '_'; empty without one.
-std::string sequence_of(const std::string& name) {
-  const std::size_t end = name.find('_');
-  return end == std::string::npos ? "" : name.substr(0, end);
-}
-
-}  // namespace
-
-bool Pack::has_neighbours(std::size_t index) const {
-  if (!use.video || index == 0 || index + 1 >= frames.size()) return false;
-  const std::string sequence = sequence_of(frames[index].name);
-  return sequence_of(frames[index - 1].name) == sequence &&
-         sequence_of(frames[index + 1].name) == sequence;
-}
 
 Split split_frames(const std::vector<std::string>& names) {
   std::map<std::string, std::vector<std::size_t>> sequences;
@@ -249,23 +264,24 @@ Split split_frames(const std::vector<std::string>& names) {
 
 Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, std::size_t every) {
   const fs::path folder = root / use.name;
-  std::vector<fs::path> pictures = files_of(folder / "rgb", ".jpg");
-  if (pictures.empty()) pictures = files_of(folder, ".jpg");  // a clip
+  std::vector<fs::path> pictures = pictures_of(folder, every);
   if (pictures.empty()) {
-    return Status::error(StatusCode::kNotFound,
-                         "%s/rgb holds no .jpg: give the data's folder with --data",
+    return Status::error(StatusCode::kNotFound, "%s/rgb holds no .jpg or .png: is this a pack?",
                          folder.c_str());
   }
   const Result<Intrinsics> intrinsics = read_intrinsics(folder);
   if (!intrinsics) return intrinsics.status();
-  Pack pack{use, {}, {}, {}};
-  std::vector<std::string> names;
-  for (std::size_t i = 0; i < pictures.size(); i += every) {
-    Result<PackFrame> frame = load_frame(folder, pictures[i], use, *intrinsics, max_width);
-    if (!frame) return frame.status();
-    names.push_back(frame->name);
-    pack.frames.push_back(std::move(*frame));
+  Pack pack;
+  pack.use = use;
+  pack.frames =
+      std::make_shared<FolderFrames>(folder, std::move(pictures), use, *intrinsics, max_width);
+  if (pack.frames->size() <= kKeptFrames) {
+    auto kept = keep_in_memory(*pack.frames, use.video);
+    if (!kept) return kept.status();
+    pack.frames = *kept;
   }
+  std::vector<std::string> names;
+  for (std::size_t i = 0; i < pack.frames->size(); ++i) names.push_back(pack.frames->name(i));
   Split split = split_frames(names);
   pack.train = std::move(split.train);
   pack.validation = std::move(split.validation);

@@ -1,48 +1,43 @@
-// Packs of frames with depth: read once, kept small in memory, split into training and validation.
+// Packs: folders of pictures with depth, split into training and validation.
 #pragma once
 
 #include <filesystem>
+#include <memory>
 #include <opencv2/core.hpp>
 #include <string>
 #include <vector>
 
 #include "firmware/base/status.h"
-#include "firmware/vision/camera_model.h"
+#include "model/frames.h"
 
 namespace lcdm::model {
 
-struct PackFrame {
-  std::string name;
-  cv::Mat rgb;         // CV_8UC3, RGB
-  cv::Mat depth;       // CV_32FC1, metres along the optical axis, 0 = unknown; same view as rgb
-  CameraModel camera;  // of rgb
-};
+// Where a frame's depth comes from: a sensor (or the renderer), maps that a teacher made, nowhere.
+enum class Teacher : std::uint8_t { kSensor, kMaps, kNone };
 
-// How a pack is used; one line of the catalogue.
+// What training adjusts in a teacher's depth before learning from it, always towards the student:
+// nothing, its scale, or scale and shift of its inverse depth (affine-invariant teachers).
+enum class Alignment : std::uint8_t { kNone, kScale, kAffine };
+
+// How a pack is used; one entry of the catalogue.
 struct PackUse {
   std::string name;
-  enum class Teacher : std::uint8_t { kSensor, kMeter } teacher = Teacher::kSensor;
+  Teacher teacher = Teacher::kSensor;
   float field_of_view = 0;  // horizontal degrees assumed where the intrinsics are unknown
   float weight = 1;         // trust in its depth, in the losses
   float wide_share = 0;     // how often it is drawn for batches of the wide shape
   float tall_share = 0;     // and for those of the 4:3 shape
   bool video = false;       // neighbouring frames are neighbours in time
+  std::string maps = "teacher_meter";  // the folder of a teacher's maps, unit 1/256 m
+  Alignment alignment = Alignment::kNone;
 };
 
 struct Pack {
   PackUse use;
-  std::vector<PackFrame> frames;
+  std::shared_ptr<const Frames> frames;
   std::vector<std::size_t> train;  // indices of frames
   std::vector<std::size_t> validation;
-
-  // Whether frame `index` has a frame before and after it in the same drive.
-  bool has_neighbours(std::size_t index) const;
 };
-
-// The training packs of the shared data and how they are mixed.
-const std::vector<PackUse>& training_packs();
-// The test packs; never trained on.
-const std::vector<PackUse>& test_packs();
 
 struct Split {
   std::vector<std::size_t> train;
@@ -53,10 +48,11 @@ struct Split {
 // 34 frames) only train.
 Split split_frames(const std::vector<std::string>& names);
 
-// Reads root/use.name with rgb/, intrinsics.json and depth/ or teacher_meter/ (with band.json), or
-// a clip: pictures and intrinsics.txt (fx fy cx cy) side by side.
-// Pictures wider than `max_width` are reduced. kNotFound: no such folder; kCorrupt: a file in it
-// cannot be used, named in the text. `every` > 1 keeps every n-th frame.
+// The frames of a folder with rgb/NAME.jpg|png, intrinsics.json and depth/NAME.png or the maps
+// (with band.json), or of a clip: pictures and intrinsics.txt (fx fy cx cy) side by side. Pictures
+// wider than `max_width` are reduced. Up to 1,500 frames are read at once and kept in memory,
+// larger packs when they are needed. kNotFound: no such folder; kCorrupt: a file in it cannot be
+// used, named in the text. `every` > 1 keeps every n-th frame.
 Result<Pack> load_pack(const std::filesystem::path& root, const PackUse& use, int max_width,
                        std::size_t every = 1);
 

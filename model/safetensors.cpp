@@ -65,7 +65,7 @@ bool write_all(const std::string& path, const TensorFile& file) {
   bool good = std::fwrite(&length, sizeof(length), 1, out) == 1 &&
               std::fwrite(header.data(), 1, header.size(), out) == header.size();
   for (const auto& [name, tensor] : file.tensors) {
-    const torch::Tensor packed = tensor.detach().contiguous();
+    const torch::Tensor packed = tensor.detach().cpu().contiguous();
     good = good && std::fwrite(packed.data_ptr(), 1, packed.nbytes(), out) == packed.nbytes();
   }
   good = std::fflush(out) == 0 && good;

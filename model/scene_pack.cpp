@@ -33,16 +33,20 @@ PackFrame render_frame(std::uint64_t seed, std::size_t index) {
 Pack render_scene_pack(const ScenePackOptions& options) {
   scene::textures();
   Pack pack;
-  pack.use = {"scene", PackUse::Teacher::kSensor, 0, 1, 0.22F, 0.24F};
-  const auto add = [&pack](std::uint64_t first_seed, std::size_t frames,
-                           std::vector<std::size_t>& part) {
-    for (std::size_t i = 0; i < frames; ++i) {
-      part.push_back(pack.frames.size());
-      pack.frames.push_back(render_frame(first_seed + i / kFramesOfWorld, i % kFramesOfWorld));
+  pack.use.name = "scene";
+  pack.use.wide_share = options.wide_share;
+  pack.use.tall_share = options.tall_share;
+  std::vector<PackFrame> frames;
+  const auto add = [&frames](std::uint64_t first_seed, std::size_t count,
+                             std::vector<std::size_t>& part) {
+    for (std::size_t i = 0; i < count; ++i) {
+      part.push_back(frames.size());
+      frames.push_back(render_frame(first_seed + i / kFramesOfWorld, i % kFramesOfWorld));
     }
   };
   add(options.train_seed, options.train_frames, pack.train);
   add(options.validation_seed, options.validation_frames, pack.validation);
+  pack.frames = std::make_shared<MemoryFrames>(std::move(frames), false);
   return pack;
 }
 

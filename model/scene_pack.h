@@ -12,6 +12,8 @@ struct ScenePackOptions {
   std::size_t train_frames = 400;   // four of each world
   std::uint64_t validation_seed = 900000;
   std::size_t validation_frames = 40;
+  float wide_share = 1;
+  float tall_share = 1;
 };
 
 // Frames of alternating shape (384x288, 640x192), moments and fields of view drawn by the seed. The

@@ -50,7 +50,7 @@ torch::Tensor photometric_loss(const torch::Tensor& target,
   for (const torch::Tensor& view : warped) errors.push_back(photometric_error(view, target));
   for (const torch::Tensor& view : neighbours) {
     const torch::Tensor still = photometric_error(view, target);
-    errors.push_back(still + torch::randn(still.sizes(), generator) * kTieBreak);
+    errors.push_back(still + torch::randn(still.sizes(), generator).to(still.device()) * kTieBreak);
   }
   const torch::Tensor least = std::get<0>(torch::cat(errors, 1).min(1));
   return (least.mean({1, 2}) * weight).sum() / weight.sum().clamp_min(1);

@@ -1,94 +1,39 @@
-#include <chrono>
 #include <csignal>
 #include <cstdio>
 #include <filesystem>
-#include <unistd.h>
 
+#include "model/catalogue.h"
 #include "model/commands.h"
-#include "model/data.h"
+#include "model/dry_run.h"
+#include "model/recipe_options.h"
 #include "model/safetensors.h"
 #include "model/trainer.h"
+#include "model/training_log.h"
+#include "model/validation.h"
 
 namespace lcdm::model {
 namespace {
 
 namespace fs = std::filesystem;
-using Clock = std::chrono::steady_clock;
+
+constexpr std::size_t kValidationFrames = 24;  // of each pack
+// More frames than this share of those drawn cannot be read: the data is broken, not a file.
+constexpr double kMostUnreadable = 0.02;
 
 volatile std::sig_atomic_t stop_asked = 0;
 
 struct Options {
-  Recipe recipe;
+  RecipeOptions recipe;
+  ComputeOptions compute;
   DataOptions data;
   std::string output = "build/training";
   bool resume = false;
+  bool dry_run = false;
   std::string encoder_weights;
   bool encoder_bgr = false;
   std::string pose_weights;
   std::int64_t save_every = 200;
-};
-
-// Means of the losses since the last line, the rate and the time left: redrawn in place on a
-// terminal, one line per `kLines` steps otherwise, and one row of the curve.
-class Progress {
- public:
-  Progress(const fs::path& curve, std::int64_t first, std::int64_t total)
-      : terminal_(isatty(STDOUT_FILENO) != 0), first_(first), total_(total), start_(Clock::now()) {
-    const bool fresh = !fs::exists(curve);
-    curve_ = std::fopen(curve.c_str(), "a");
-    if (curve_ != nullptr && fresh) {
-      std::fprintf(curve_, "step,images,seconds,learning_rate");
-      for (const char* name : kTermNames) std::fprintf(curve_, ",%s", name);
-      std::fprintf(curve_, "\n");
-    }
-  }
-  ~Progress() {
-    if (curve_ != nullptr) std::fclose(curve_);
-    if (terminal_) std::printf("\n");
-  }
-  Progress(const Progress&) = delete;
-  Progress& operator=(const Progress&) = delete;
-
-  void add(const Trainer& trainer, const Losses& losses) {
-    for (std::size_t i = 0; i < sums_.size(); ++i) sums_[i] += losses.terms[i];
-    ++count_;
-    if (trainer.step() % kLines != 0 && !trainer.done()) return;
-    print(trainer);
-    sums_ = {};
-    count_ = 0;
-  }
-
- private:
-  static constexpr std::int64_t kLines = 25;
-
-  void print(const Trainer& trainer) {
-    const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
-    const double per_step = seconds / static_cast<double>(trainer.step() - first_);
-    const double left = per_step * static_cast<double>(total_ - trainer.step());
-    const double n = static_cast<double>(count_);
-    std::printf("%s%lld/%lld  %.2f s/step  %.0f min left", terminal_ ? "\r" : "",
-                static_cast<long long>(trainer.step()), static_cast<long long>(total_), per_step,
-                left / 60);
-    for (std::size_t i = 0; i < sums_.size(); ++i) {
-      if (sums_[i] != 0) std::printf("  %s %.4f", kTermNames[i], sums_[i] / n);
-    }
-    std::printf("%s", terminal_ ? "  " : "\n");
-    std::fflush(stdout);
-    if (curve_ == nullptr) return;
-    std::fprintf(curve_, "%lld,%lld,%.1f,%.3g", static_cast<long long>(trainer.step()),
-                 static_cast<long long>(trainer.images()), seconds, trainer.learning_rate());
-    for (const double sum : sums_) std::fprintf(curve_, ",%.5f", sum / n);
-    std::fprintf(curve_, "\n");
-    std::fflush(curve_);
-  }
-
-  bool terminal_;
-  std::int64_t first_;
-  std::int64_t total_;
-  Clock::time_point start_;
-  std::FILE* curve_ = nullptr;
-  std::array<double, kTermNames.size()> sums_{};
-  int count_ = 0;
+  std::int64_t validate_every = 0;
 };
 
 void print_import(const char* what, const std::string& path, const ImportReport& report) {
@@ -119,35 +64,106 @@ Status start_from_others(const Options& options, Trainer& trainer) {
   return Status::ok();
 }
 
+// The folder of a run: checkpoint.safetensors is the last state, best.safetensors the one with the
+// best validation score.
+class Run {
+ public:
+  Run(const Options& options, const Recipe& recipe, const Data& data, Trainer& trainer, bool leads)
+      : options_(options),
+        recipe_(recipe),
+        data_(data),
+        trainer_(trainer),
+        leads_(leads),
+        folder_(options.output) {}
+
+  std::string last() const { return (folder_ / "checkpoint.safetensors").string(); }
+
+  Status train(Processes& processes) {
+    std::optional<TrainingLog> log;
+    if (leads_) log.emplace(folder_, trainer_.step(), recipe_.steps);
+    while (!trainer_.done() && !processes.any(stop_asked != 0)) {
+      const Result<Losses> losses = trainer_.advance();
+      if (!losses) return losses.status();
+      LCDM_RETURN_IF_ERROR(check_frames());
+      if (!log) continue;
+      log->add(trainer_, *losses);
+      if (is_time(options_.validate_every)) LCDM_RETURN_IF_ERROR(keep_the_best(*log));
+      if (is_time(options_.save_every)) LCDM_RETURN_IF_ERROR(trainer_.save(last()));
+    }
+    if (trainer_.unreadable() > 0) {
+      std::fprintf(stderr, "%lld frames could not be read and were replaced by others\n",
+                   static_cast<long long>(trainer_.unreadable()));
+    }
+    return leads_ ? trainer_.save(last()) : Status::ok();
+  }
+
+ private:
+  bool is_time(std::int64_t every) const {
+    return every > 0 && (trainer_.step() % every == 0 || trainer_.done());
+  }
+
+  Status check_frames() const {
+    const auto bad = static_cast<double>(trainer_.unreadable());
+    if (bad < 10 || bad < kMostUnreadable * static_cast<double>(trainer_.images())) {
+      return Status::ok();
+    }
+    return Status::error(StatusCode::kCorrupt,
+                         "%lld of %lld drawn frames cannot be read: mend the data (lcdm-train "
+                         "evaluate names them)",
+                         static_cast<long long>(trainer_.unreadable()),
+                         static_cast<long long>(trainer_.images()));
+  }
+
+  Status keep_the_best(TrainingLog& log) {
+    const int steps = trainer_.has_head() ? static_cast<int>(trainer_.config().steps.size()) : 0;
+    const Validation validation =
+        validate(trainer_.averaged(), steps, trainer_.share(), data_, kValidationFrames);
+    const bool better = trainer_.note_score(validation.score);
+    log.add(trainer_, validation, better);
+    return better ? trainer_.save((folder_ / "best.safetensors").string()) : Status::ok();
+  }
+
+  const Options& options_;
+  const Recipe& recipe_;
+  const Data& data_;
+  Trainer& trainer_;
+  bool leads_;
+  fs::path folder_;
+};
+
 Status run(const Options& options) {
-  const Result<std::vector<Pack>> packs = load_training_data(options.data);
-  if (!packs) return packs.status();
+  const Result<Recipe> recipe = recipe_of(options.recipe);
+  if (!recipe) return recipe.status();
+  const Result<Compute> compute = compute_of(options.compute);
+  if (!compute) return compute.status();
+  const Result<Data> data = load_training_data(options.data);
+  if (!data) return data.status();
+  if (options.dry_run) return dry_run(*recipe, data->packs, *compute);
+
   std::error_code error;
   fs::create_directories(options.output, error);
   if (error) {
     return Status::system(error.value(), "--output %s: cannot make this folder",
                           options.output.c_str());
   }
-  const std::string checkpoint = (fs::path(options.output) / "checkpoint.safetensors").string();
-  Trainer trainer(options.recipe, *packs);
+  const auto trainer = Trainer::make(*recipe, data->packs, *compute);
+  if (!trainer) return trainer.status();
+  const bool leads = compute->processes->rank() == 0;
+  Run training(options, *recipe, *data, **trainer, leads);
   if (options.resume) {
-    LCDM_RETURN_IF_ERROR(trainer.resume(checkpoint));
+    LCDM_RETURN_IF_ERROR((*trainer)->resume(training.last()));
   } else {
-    LCDM_RETURN_IF_ERROR(start_from_others(options, trainer));
+    LCDM_RETURN_IF_ERROR(start_from_others(options, **trainer));
   }
-  std::printf("variable mean %.4f deviation %.4f, from step %lld\n", trainer.config().variable_mean,
-              trainer.config().variable_std, static_cast<long long>(trainer.step()));
-
+  if (leads) {
+    const ModelConfig& config = (*trainer)->config();
+    std::printf("variable mean %.4f deviation %.4f, from step %lld\nlicence of the weights: %s\n",
+                config.variable_mean, config.variable_std,
+                static_cast<long long>((*trainer)->step()), data->licence.c_str());
+  }
   std::signal(SIGTERM, [](int) { stop_asked = 1; });
   std::signal(SIGINT, [](int) { stop_asked = 1; });
-  Progress progress(fs::path(options.output) / "curve.csv", trainer.step(), options.recipe.steps);
-  while (!trainer.done() && stop_asked == 0) {
-    const Result<Losses> losses = trainer.advance();
-    if (!losses) return losses.status();
-    progress.add(trainer, *losses);
-    if (trainer.step() % options.save_every == 0) LCDM_RETURN_IF_ERROR(trainer.save(checkpoint));
-  }
-  return trainer.save(checkpoint);
+  return training.train(*compute->processes);
 }
 
 }  // namespace
@@ -155,11 +171,16 @@ Status run(const Options& options) {
 void add_train(CLI::App& app, Status& status) {
   auto* command = app.add_subcommand("train", "Trains a network; Ctrl-C saves and stops");
   auto options = std::make_shared<Options>();
-  Recipe& recipe = options->recipe;
   add_data_options(*command, options->data);
-  command->add_option("--output", options->output, "Folder of the checkpoint and curve.csv")
+  add_recipe_options(*command, options->recipe);
+  add_compute_options(*command, options->compute);
+  command
+      ->add_option("--output", options->output,
+                   "Folder of the checkpoints, curve.csv and validation.csv")
       ->capture_default_str();
-  command->add_flag("--resume", options->resume, "Go on from the folder's checkpoint");
+  command->add_flag("--resume", options->resume, "Go on from the folder's last checkpoint");
+  command->add_flag("--dry-run", options->dry_run,
+                    "Print parameters, MACs, memory and expected time, and stop");
   command
       ->add_option("--encoder-weights", options->encoder_weights,
                    "Start the encoder from this .safetensors (timm's or ml-cvnets' names)")
@@ -172,80 +193,10 @@ void add_train(CLI::App& app, Status& status) {
   command->add_option("--save-every", options->save_every, "Steps between checkpoints")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  const std::map<std::string, EncoderKind> encoders = {
-      {"xxs", EncoderKind::kXxs}, {"xs", EncoderKind::kXs}, {"s", EncoderKind::kS}};
-  const std::map<std::string, PresetKind> presets = {{"lcdm", PresetKind::kLcdm},
-                                                     {"paper", PresetKind::kPaper}};
-  const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
-                                                   {"zeros", StartKind::kZeros}};
-  command->add_option("--start", recipe.start, "Where the sampler starts: noise or zeros")
-      ->transform(CLI::CheckedTransformer(starts));
-  command->add_option("--encoder", recipe.encoder, "xxs, xs or s")
-      ->transform(CLI::CheckedTransformer(encoders));
-  command->add_option("--preset", recipe.preset, "lcdm or paper")
-      ->transform(CLI::CheckedTransformer(presets));
-  command->add_option("--seed", recipe.seed, "Of weights, batches and noise")
-      ->capture_default_str();
-  command->add_option("--steps", recipe.steps, "Optimiser steps in all")
-      ->check(CLI::PositiveNumber)
-      ->capture_default_str();
-  command->add_option("--reduced", recipe.reduced, "Share of the deployed size at first")
-      ->check(CLI::Range(0.2, 1.0))
-      ->capture_default_str();
   command
-      ->add_option(
-          "--head-from", recipe.head_from,
-          "Share of the steps before which only encoder, decoder and the 0-step answer train")
-      ->check(CLI::Range(0.0, 1.0))
-      ->capture_default_str();
-  command
-      ->add_option(
-          "--workers", recipe.workers,
-          "Threads that train on a part of each batch (the weights depend on their number)")
-      ->check(CLI::Range(1, 256))
-      ->capture_default_str();
-  command
-      ->add_option("--full-from", recipe.full_from,
-                   "Share of the steps after which pictures have the deployed size")
-      ->check(CLI::Range(0.0, 1.0))
-      ->capture_default_str();
-  command
-      ->add_option("--freeze-from", recipe.freeze_from,
-                   "Share of the steps after which batch-norm statistics are frozen")
-      ->check(CLI::Range(0.0, 1.0))
-      ->capture_default_str();
-  command->add_option("--images", recipe.images, "Pictures in a batch at the reduced size")
-      ->check(CLI::PositiveNumber)
-      ->capture_default_str();
-  command->add_option("--full-images", recipe.full_images, "And at the deployed size")
-      ->check(CLI::PositiveNumber)
-      ->capture_default_str();
-  command->add_option("--learning-rate", recipe.learning_rate, "At its highest")
-      ->check(CLI::PositiveNumber)
-      ->capture_default_str();
-  command->add_option("--final-rate", recipe.final_rate, "At the end of the cosine")
-      ->capture_default_str();
-  command->add_option("--warm-up", recipe.warm_up, "Steps to the highest rate")
-      ->check(CLI::PositiveNumber)
-      ->capture_default_str();
-  command->add_option("--weight-decay", recipe.weight_decay, "Of AdamW")->capture_default_str();
-  command->add_option("--clip", recipe.clip, "Largest norm of the gradient")
-      ->check(CLI::PositiveNumber)
-      ->capture_default_str();
-  command->add_option("--average", recipe.average, "Of the moving average of the weights")
-      ->check(CLI::Range(0.0, 1.0))
-      ->capture_default_str();
-  LossWeights& weights = recipe.losses;
-  const auto add_weight = [command](const char* name, double& weight, const char* what) {
-    command->add_option(name, weight, what)->check(CLI::NonNegativeNumber)->capture_default_str();
-  };
-  add_weight("--distillation", weights.distillation, "Weight of the depth distillation");
-  add_weight("--denoising", weights.denoising, "Weight of the denoising loss");
-  add_weight("--normals", weights.normals, "Weight of the surface-normal distillation");
-  add_weight("--photometric", weights.photometric, "Weight of the photometric loss");
-  add_weight("--smoothness", weights.smoothness, "Weight of the edge-aware smoothness");
-  add_weight("--gradient", weights.gradient, "Weight of the gradient loss");
-  add_weight("--direct", weights.direct, "Weight of the 0-step answer's losses");
+      ->add_option("--validate-every", options->validate_every,
+                   "Steps between validations; the best state is kept as best.safetensors")
+      ->check(CLI::PositiveNumber);
   command->callback([options, &status] { status = run(*options); });
 }
 

@@ -1,6 +1,7 @@
 #include "model/trainer.h"
 
 #include <cmath>
+#include <cstdio>
 #include <future>
 
 #include "model/config_json.h"
@@ -30,16 +31,19 @@ int multiple_of_32(double size) {
   return std::max(64, static_cast<int>(std::lround(size / 32)) * 32);
 }
 
-std::vector<BatchShape> make_shapes(double share, int images) {
+// Of the images a process has of each batch.
+std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, int rank) {
   std::vector<BatchShape> shapes;
   for (const auto& [width, height] : kDeployed) {
     BatchShape shape;
-    shape.width = multiple_of_32(width * share);
-    shape.height = multiple_of_32(height * share);
+    shape.width = multiple_of_32(width * stage.share);
+    shape.height = multiple_of_32(height * stage.share);
     shape.canonical_focal =
         kCanonicalFocal * static_cast<float>(shape.width) / static_cast<float>(width);
-    shape.images = images;
+    shape.images = stage.images;
+    shape.first = rank * stage.images;
     shape.wide = width > 2 * height;
+    shape.views = recipe.losses.photometric > 0 || recipe.losses.smoothness > 0;
     shapes.push_back(shape);
   }
   return shapes;
@@ -71,19 +75,25 @@ void follow(TrainedNetworks& replica, const TrainedNetworks& networks) {
   for (auto& item : replica->named_buffers()) item.value().copy_(statistics[item.key()]);
 }
 
-// Mean and deviation of the teacher's logit over a few batches (MODEL.md: `lcdm` only).
-void measure_variable(ModelConfig& config, const std::vector<Pack>& packs,
-                      const std::vector<BatchShape>& shapes, std::uint64_t seed) {
+// Mean and deviation of the teacher's logit over the same 128 samples whatever the batch's size
+// (MODEL.md: `lcdm` only).
+Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs) {
   constexpr std::uint64_t kBatches = 16;
+  Stage stage = recipe.stages.front();
+  stage.images = 8;
+  const std::vector<BatchShape> shapes = make_shapes(recipe, stage, 0);
   std::vector<torch::Tensor> logits;
   for (std::uint64_t i = 0; i < kBatches; ++i) {
-    const Batch batch = make_batch(packs, shapes[i % shapes.size()], ~seed, i);
-    const torch::Tensor depth = batch.target.depth.masked_select(batch.target.depth > 0);
-    logits.push_back(variable_of_depth(depth, ModelConfig{}));
+    const Result<Batch> batch = make_batch(packs, shapes[i % shapes.size()], ~recipe.seed, i);
+    if (!batch) return batch.status();
+    const torch::Tensor& depth = batch->target.depth;
+    logits.push_back(variable_of_depth(depth.masked_select(depth > 0), ModelConfig{}));
   }
   const torch::Tensor all = torch::cat(logits);
+  if (all.numel() < 2) return Status::ok();  // no depth to learn from: photometric loss alone
   config.variable_mean = std::round(all.mean().item<double>() * 1e4) / 1e4;
   config.variable_std = std::round(all.std().item<double>() * 1e4) / 1e4;
+  return Status::ok();
 }
 
 }  // namespace
@@ -107,16 +117,49 @@ bool restore(torch::nn::Module& network, const std::string& prefix,
   return true;
 }
 
-Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs)
-    : recipe_(recipe), packs_(packs) {
-  torch::manual_seed(recipe.seed);
+Result<Stage> parse_stage(const std::string& text) {
+  Stage stage;
+  char rest = 0;
+  const int fields =
+      std::sscanf(text.c_str(), "%lf:%d:%lf%c", &stage.share, &stage.images, &stage.until, &rest);
+  if (fields != 3 || !(stage.share >= 0.2 && stage.share <= 2) || stage.images < 1 ||
+      !(stage.until > 0 && stage.until <= 1)) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "stage \"%s\" is not SHARE:IMAGES:UNTIL, such as 0.5:8:0.8 (size 0.2 to 2 "
+                         "of the deployed one, until 0 to 1 of the steps)",
+                         text.c_str());
+  }
+  return stage;
+}
+
+Compute one_cpu() {
+  Compute compute;
+  compute.processes = alone();
+  return compute;
+}
+
+Result<std::unique_ptr<Trainer>> Trainer::make(const Recipe& recipe, const std::vector<Pack>& packs,
+                                               const Compute& compute) {
   ModelConfig config = make_model_config(recipe);
-  if (recipe.preset == PresetKind::kLcdm) measure_variable(config, packs, shapes(), recipe.seed);
+  if (recipe.preset == PresetKind::kLcdm) {
+    LCDM_RETURN_IF_ERROR(measure_variable(config, recipe, packs));
+  }
+  return std::unique_ptr<Trainer>(new Trainer(recipe, packs, compute, config));
+}
+
+Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs, const Compute& compute,
+                 const ModelConfig& config)
+    : recipe_(recipe), packs_(packs), compute_(compute) {
+  torch::manual_seed(recipe.seed);
   networks_ = TrainedNetworks(config, recipe.losses.photometric > 0);
+  networks_->depth->mixed_precision = recipe.bf16;
+  networks_->to(compute.device);
   use_channels_last(*networks_);
-  const int workers = std::min({recipe.workers, recipe.images, recipe.full_images});
+  int workers = recipe.workers;
+  for (const Stage& stage : recipe.stages) workers = std::min(workers, stage.images);
   for (int i = 1; i < workers; ++i) replicas_.push_back(make_replica(networks_));
   average_ = DepthNetwork(config);
+  average_->to(compute.device);
   std::map<std::string, torch::Tensor> tensors;
   collect(*networks_->depth, "", tensors);
   restore(*average_, "", tensors);
@@ -150,13 +193,20 @@ bool Trainer::past(double share) const {
   return static_cast<double>(step_) >= share * static_cast<double>(recipe_.steps);
 }
 
-std::vector<BatchShape> Trainer::shapes() const {
-  std::vector<BatchShape> shapes = past(recipe_.full_from)
-                                       ? make_shapes(1, recipe_.full_images)
-                                       : make_shapes(recipe_.reduced, recipe_.images);
-  const LossWeights& weights = recipe_.losses;
-  for (BatchShape& shape : shapes) shape.views = weights.photometric > 0 || weights.smoothness > 0;
-  return shapes;
+std::size_t Trainer::stage_index() const {
+  std::size_t index = 0;
+  while (index + 1 < recipe_.stages.size() && past(recipe_.stages[index].until)) ++index;
+  return index;
+}
+
+void Trainer::prepare_loader() {
+  const std::size_t stage = stage_index();
+  if (loader_ != nullptr && stage == loader_stage_) return;
+  loader_.reset();
+  loader_ = std::make_unique<BatchLoader>(
+      packs_, make_shapes(recipe_, recipe_.stages[stage], compute_.processes->rank()), recipe_.seed,
+      static_cast<std::uint64_t>(step_ * recipe_.accumulate), compute_.loaders);
+  loader_stage_ = stage;
 }
 
 double Trainer::learning_rate() const { return rate_after(0); }
@@ -188,14 +238,52 @@ void Trainer::set_modes() {
   for (TrainedNetworks& replica : replicas_) set(replica);
 }
 
-Losses Trainer::run_worker(std::size_t worker, const Batch& part, double share) {
+void Trainer::clear_gradients() {
+  const auto clear = [](TrainedNetworks& networks) {
+    for (torch::Tensor& weight : networks->parameters()) weight.mutable_grad() = torch::Tensor();
+  };
+  clear(networks_);
+  for (TrainedNetworks& replica : replicas_) clear(replica);
+}
+
+bool Trainer::note_score(double score) {
+  // A score with the head, or at another size, is no match for one without.
+  const float part = static_cast<float>(stage_index()) + (has_head() ? 0.5F : 0);
+  if (part == best_part_ && !(static_cast<float>(score) < best_)) return false;
+  best_ = static_cast<float>(score);
+  best_part_ = part;
+  return true;
+}
+
+Losses Trainer::run_batch(const Batch& batch, int k) {
+  const std::int64_t images = batch.rgb.size(0);
+  const auto workers = static_cast<int>(replicas_.size()) + 1;
+  const double batches = static_cast<double>(recipe_.accumulate) * compute_.processes->size();
+  std::vector<std::future<Losses>> running;
+  for (int i = 0; i < workers; ++i) {
+    const std::int64_t first = i * images / workers;
+    const std::int64_t count = (i + 1) * images / workers - first;
+    const double share = static_cast<double>(count) / static_cast<double>(images) / batches;
+    running.push_back(std::async(std::launch::async, [=, this, &batch] {
+      return run_worker(i, k, batch.part(first, count).to(compute_.device), share);
+    }));
+  }
+  Losses losses;
+  for (std::future<Losses>& part : running) losses.add(part.get());
+  return losses;
+}
+
+Losses Trainer::run_worker(int worker, int k, const Batch& part, double share) {
   at::set_num_threads(1);  // of this thread: two whole passes side by side beat one on two threads
-  TrainedNetworks& networks = worker == 0 ? networks_ : replicas_[worker - 1];
-  for (torch::Tensor& weight : networks->parameters()) weight.mutable_grad() = torch::Tensor();
+  TrainedNetworks& networks =
+      worker == 0 ? networks_ : replicas_[static_cast<std::size_t>(worker - 1)];
+  // Numbered over all processes: two of them with a worker each are one with two workers.
+  const int workers = static_cast<int>(replicas_.size()) + 1;
+  const auto number = static_cast<std::uint64_t>(compute_.processes->rank() * workers + worker);
+  const auto batch = static_cast<std::uint64_t>(step_ * recipe_.accumulate + k);
   at::Generator generator = at::detail::createCPUGenerator(
-      SampleRandom(recipe_.seed, static_cast<std::uint64_t>(step_), kLossStream + worker)
-          .below(1U << 31));
-  const Part what = past(recipe_.head_from) ? Part::kWhole : Part::kDirect;
+      SampleRandom(recipe_.seed, batch, kLossStream + number).below(1U << 31));
+  const Part what = has_head() ? Part::kWhole : Part::kDirect;
   Losses losses = training_losses(networks, part, recipe_.losses, what, generator).times(share);
   losses.total.backward();
   return losses;
@@ -222,6 +310,38 @@ void Trainer::gather_workers() {
       item.value().floor_divide_(workers);
     }
   }
+  for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
+}
+
+void Trainer::gather_processes(Losses& losses) {
+  Processes& processes = *compute_.processes;
+  if (processes.size() == 1) return;
+  const torch::NoGradGuard no_grad;
+  std::vector<torch::Tensor> own;  // what is summed: gradients, then statistics
+  for (const torch::Tensor& weight : networks_->parameters()) {
+    if (weight.grad().defined()) own.push_back(weight.grad());
+  }
+  for (torch::Tensor& buffer : networks_->buffers()) {
+    if (buffer.is_floating_point()) own.push_back(buffer.div_(processes.size()));
+  }
+  std::vector<torch::Tensor> flat;
+  flat.reserve(own.size() + 1);
+  for (const torch::Tensor& tensor : own) flat.push_back(tensor.reshape({-1}).cpu());
+  torch::Tensor numbers = torch::empty({static_cast<std::int64_t>(losses.terms.size()) + 1});
+  numbers[0] = losses.total.item<float>();
+  for (std::size_t i = 0; i < losses.terms.size(); ++i) {
+    numbers[static_cast<std::int64_t>(i) + 1] = losses.terms[i];
+  }
+  flat.push_back(numbers);
+  torch::Tensor all = torch::cat(flat);
+  processes.sum(all);
+  std::int64_t at = 0;
+  for (torch::Tensor& tensor : own) {
+    tensor.copy_(all.narrow(0, at, tensor.numel()).reshape(tensor.sizes()));
+    at += tensor.numel();
+  }
+  losses.total = all[at].clone();
+  for (double& term : losses.terms) term = all[++at].item<double>();
   for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
 }
 
@@ -259,31 +379,21 @@ Status not_finite(const Losses& losses, std::int64_t step) {
 }  // namespace
 
 Result<Losses> Trainer::advance() {
-  const std::vector<BatchShape> wanted = shapes();
-  const bool full = past(recipe_.full_from);
-  if (loader_ == nullptr || full != full_size_) {
-    loader_.reset();
-    loader_ = std::make_unique<BatchLoader>(packs_, wanted, recipe_.seed,
-                                            static_cast<std::uint64_t>(step_));
-    full_size_ = full;
-  }
-  const Batch batch = loader_->next();
+  prepare_loader();
   set_modes();
-  const std::int64_t images = batch.rgb.size(0);
-  const auto workers = static_cast<std::int64_t>(replicas_.size()) + 1;
-  std::vector<std::future<Losses>> running;
-  for (std::int64_t i = 0; i < workers; ++i) {
-    const std::int64_t first = i * images / workers;
-    const std::int64_t count = (i + 1) * images / workers - first;
-    running.push_back(std::async(std::launch::async, [this, i, count, images, first, &batch] {
-      return run_worker(static_cast<std::size_t>(i), batch.part(first, count),
-                        static_cast<double>(count) / static_cast<double>(images));
-    }));
-  }
+  clear_gradients();
   Losses losses;
-  for (std::future<Losses>& part : running) losses.add(part.get());
-  if (!std::isfinite(losses.total.item<double>())) return not_finite(losses, step_);
+  std::int64_t images = 0;
+  for (int k = 0; k < recipe_.accumulate; ++k) {
+    const Result<Batch> batch = loader_->next();
+    if (!batch) return batch.status();
+    unreadable_ += batch->unreadable;
+    images += batch->rgb.size(0);
+    losses.add(run_batch(*batch, k));
+  }
   gather_workers();
+  gather_processes(losses);
+  if (!std::isfinite(losses.total.item<double>())) return not_finite(losses, step_);
   if (const double norm = optimizer_->clip(recipe_.clip); !std::isfinite(norm)) {
     return Status::error(StatusCode::kCorrupt,
                          "step %lld: a gradient is not finite; lower the learning rate",
@@ -294,7 +404,7 @@ Result<Losses> Trainer::advance() {
   optimizer_->step([&](const std::string& name) {
     return name.rfind("depth.head.", 0) == 0 ? rate_after(head_first) : learning_rate();
   });
-  images_ += images;
+  images_ += images * compute_.processes->size();
   ++step_;
   update_average();
   return losses;
@@ -306,6 +416,7 @@ Status Trainer::save(const std::string& path) const {
   collect(*average_, "average.", file.tensors);
   optimizer_->save(file.tensors);
   file.tensors["trainer.step"] = torch::tensor({step_, images_}, torch::kLong);
+  file.tensors["trainer.best"] = torch::tensor({best_, best_part_});
   file.metadata["lcdm"] = config_json(config());
   return write_tensors(path, file);
 }
@@ -315,8 +426,9 @@ Status Trainer::resume(const std::string& path) {
   if (!file) return file.status();
   const auto& tensors = file->tensors;
   const auto step = tensors.find("trainer.step");
+  const auto best = tensors.find("trainer.best");
   const auto text = file->metadata.find("lcdm");
-  if (step == tensors.end() || text == file->metadata.end()) {
+  if (step == tensors.end() || best == tensors.end() || text == file->metadata.end()) {
     return Status::error(StatusCode::kInvalidInput, "%s is not a training checkpoint",
                          path.c_str());
   }
@@ -333,6 +445,8 @@ Status Trainer::resume(const std::string& path) {
   for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
   step_ = step->second[0].item<std::int64_t>();
   images_ = step->second[1].item<std::int64_t>();
+  best_ = best->second[0].item<float>();
+  best_part_ = best->second[1].item<float>();
   loader_.reset();
   return Status::ok();
 }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <string>
 #include <vector>
@@ -10,10 +11,20 @@
 #include "model/adamw.h"
 #include "model/batch.h"
 #include "model/losses.h"
+#include "model/processes.h"
 #include "model/trained_networks.h"
 #include "model/weight_import.h"
 
 namespace lcdm::model {
+
+// A part of the training: the size of its pictures and how many make a batch.
+struct Stage {
+  double share = 1;  // of the deployed size
+  int images = 4;
+  double until = 1;  // share of the steps at which the next stage begins
+};
+// "SHARE:IMAGES:UNTIL". kInvalidInput: not three numbers in their ranges.
+Result<Stage> parse_stage(const std::string& text);
 
 // Everything that decides the weights besides the data; a file of model/recipes/.
 struct Recipe {
@@ -22,13 +33,12 @@ struct Recipe {
   StartKind start = StartKind::kNoise;
   std::uint64_t seed = 1;
   std::int64_t steps = 1000;
-  double reduced = 0.5;      // first part trains at this share of the deployed size
+  std::vector<Stage> stages = {{0.5, 8, 0.8}, {1, 4, 1}};  // the last runs to the end
   double head_from = 0.4;    // share of the steps before which only the 0-step answer is trained
-  double full_from = 0.8;    // after which it trains at the deployed size
   double freeze_from = 0.5;  // and after which batch-norm statistics stay as they are
-  int images = 8;            // of a batch at the reduced size
-  int full_images = 4;       // and at the deployed size
+  int accumulate = 1;        // batches of an optimiser step
   int workers = 2;           // threads that share a batch; batch norm sees a worker's part only
+  bool bf16 = false;         // encoder and decoder in bfloat16
   double learning_rate = 1e-3;
   double final_rate = 5e-6;
   std::int64_t warm_up = 100;
@@ -38,19 +48,35 @@ struct Recipe {
   LossWeights losses;
 };
 
+// Where training happens.
+struct Compute {
+  torch::Device device = torch::kCPU;
+  std::shared_ptr<Processes> processes;  // not null
+  std::size_t loaders = 2;               // batches made at once
+};
+// This machine's CPU, alone.
+Compute one_cpu();
+
 // The deployed sizes, wide and 4:3 (NETWORK.md).
 inline constexpr int kDeployed[2][2] = {{640, 192}, {384, 288}};
 
 class Trainer {
  public:
-  // Measures the variable's mean and deviation on `packs`, which must outlive the trainer.
-  Trainer(const Recipe& recipe, const std::vector<Pack>& packs);
+  // Measures the variable's mean and deviation on `packs`, which must outlive the trainer. Errors
+  // as make_batch.
+  static Result<std::unique_ptr<Trainer>> make(const Recipe& recipe, const std::vector<Pack>& packs,
+                                               const Compute& compute);
 
   std::int64_t step() const { return step_; }
   bool done() const { return step_ >= recipe_.steps; }
+  // Pictures seen, by all processes.
   std::int64_t images() const { return images_; }
+  // Frames that were drawn here and could not be read.
+  std::int64_t unreadable() const { return unreadable_; }
   // Of all but the head, which has the same curve from where it joins.
   double learning_rate() const;
+  // Whether the head is trained by now.
+  bool has_head() const { return past(recipe_.head_from); }
   // One optimiser step. kCorrupt where the loss or a gradient is not finite: what and when; the
   // weights are then those before the step.
   Result<Losses> advance();
@@ -59,6 +85,12 @@ class Trainer {
   // weight_import.h; kInvalidInput where there is no pose network.
   Result<ImportReport> start_encoder_from(const TensorFile& file, ChannelOrder order);
   Result<ImportReport> start_pose_from(const TensorFile& file);
+
+  // Size of the present stage's pictures as a share of the deployed size.
+  double share() const { return recipe_.stages[stage_index()].share; }
+  // Remembers the best validation score (lower is better), over checkpoints too. Whether it is the
+  // best so far of the networks with as much of a head and of this size.
+  bool note_score(double score);
 
   // The averaged weights, in evaluation mode.
   DepthNetwork& averaged() { return average_; }
@@ -69,28 +101,41 @@ class Trainer {
   Status resume(const std::string& path);
 
  private:
+  Trainer(const Recipe& recipe, const std::vector<Pack>& packs, const Compute& compute,
+          const ModelConfig& config);
+
   bool past(double share) const;
+  std::size_t stage_index() const;
   // Warm-up, then a cosine to the end, begun at step `first`.
   double rate_after(double first) const;
+  void prepare_loader();
   void set_modes();
-  // Losses and gradients of one worker's part of the batch; its share weighs them.
-  Losses run_worker(std::size_t worker, const Batch& part, double share);
+  void clear_gradients();
+  // Losses and gradients of batch `k` of this step, shared among the workers.
+  Losses run_batch(const Batch& batch, int k);
+  // Of one worker's part of it; its share of the whole step weighs them.
+  Losses run_worker(int worker, int k, const Batch& part, double share);
   // Sums the workers' gradients and averages their statistics into worker 0.
   void gather_workers();
+  // The same over all processes, and their losses.
+  void gather_processes(Losses& losses);
   void update_average();
-  std::vector<BatchShape> shapes() const;
 
   Recipe recipe_;
   const std::vector<Pack>& packs_;
+  Compute compute_;
   TrainedNetworks networks_ = nullptr;  // also worker 0's
   // Of the other workers: the same weights in memory, gradients and statistics of their own.
   std::vector<TrainedNetworks> replicas_;
   DepthNetwork average_ = nullptr;
   std::unique_ptr<AdamW> optimizer_;
   std::unique_ptr<BatchLoader> loader_;
-  bool full_size_ = false;  // what loader_ makes
+  std::size_t loader_stage_ = 0;  // what loader_ makes
   std::int64_t step_ = 0;
   std::int64_t images_ = 0;
+  std::int64_t unreadable_ = 0;
+  float best_ = std::numeric_limits<float>::infinity();  // score
+  float best_part_ = 0;                                  // the part of the training it is of
 };
 
 // Weights and buffers of `network` by name, with `prefix`.

@@ -74,13 +74,37 @@ TEST(GradientLoss, OfARampGrowsWithTheScale) {
               (0.1 + 0.2 + 0.4 + 0.8) / 4, 1e-5);
 }
 
-TEST(AlignToStudent, MovesOnlyUnreliableImagesByTheMedian) {
+torch::Tensor kinds_of(std::initializer_list<Alignment> kinds) {
+  std::vector<std::int64_t> numbers;
+  for (const Alignment kind : kinds) numbers.push_back(static_cast<std::int64_t>(kind));
+  return torch::tensor(numbers, torch::kLong);
+}
+
+TEST(AlignToStudent, MovesByTheMedianWhatHasNoScale) {
   const torch::Tensor target = torch::zeros({2, 1, 1, 3});
   const torch::Tensor student = torch::cat({image({1, 2, 9}, 1, 3), image({1, 2, 9}, 1, 3)});
-  const torch::Tensor reliable = torch::tensor({1, 0}).to(torch::kBool);
-  const torch::Tensor out = align_to_student(target, student, no_mask(target), reliable);
+  const torch::Tensor kinds = kinds_of({Alignment::kNone, Alignment::kScale});
+  const torch::Tensor out = align_to_student(target, student, no_mask(target), kinds);
   EXPECT_EQ(out[0].abs().max().item<float>(), 0);
   EXPECT_EQ((out[1] - 2).abs().max().item<float>(), 0);
+}
+
+// A teacher whose inverse depth is 3 times the student's less 0.5 becomes the student.
+TEST(AlignToStudent, FitsScaleAndShiftOfInverseDepth) {
+  const torch::Tensor inverse = image({0.9F, 0.5F, 0.3F, 0.25F}, 1, 4);
+  const torch::Tensor teacher = 3 * inverse - 0.5;
+  const torch::Tensor out = align_to_student(-teacher.log(), -inverse.log(), no_mask(inverse),
+                                             kinds_of({Alignment::kAffine}));
+  EXPECT_LT((out + inverse.log()).abs().max().item<float>(), 1e-5);
+}
+
+// Where near and far are swapped no scale and shift make depth of it: the median is all that helps.
+TEST(AlignToStudent, FallsBackToTheMedianWhereTheFitIsNoDepth) {
+  const torch::Tensor student = image({1, 2, 3}, 1, 3);
+  const torch::Tensor target = image({3, 2, 1}, 1, 3);
+  const torch::Tensor out =
+      align_to_student(target, student, no_mask(target), kinds_of({Alignment::kAffine}));
+  EXPECT_EQ((out - target).abs().max().item<float>(), 0);  // the median error is 0 already
 }
 
 TEST(DepthCode, RoundTrips) {
@@ -179,7 +203,7 @@ TEST(TrainingLosses, NinetyPercentHolesGiveNoNanAndNoBias) {
   const CameraModel camera{64, 64, 60, 60, 31.5F, 31.5F, true};
   full.cameras = pinholes_of({camera, camera});
   full.target = {torch::full({2, 1, 64, 64}, 5.0F), torch::ones({2}), torch::ones({2}),
-                 torch::ones({2}, torch::kBool)};
+                 torch::zeros({2}, torch::kLong)};
   full.views = {picture, torch::rand_like(picture), torch::rand_like(picture), torch::ones({2})};
   Batch holes = full;
   holes.target.depth = torch::where(torch::rand({2, 1, 64, 64}) < 0.9, torch::zeros({2, 1, 64, 64}),

@@ -50,6 +50,8 @@ TEST(Split, PartsAreDisjointAndShortSequencesOnlyTrain) {
   }
 }
 
+PackFrame frame_of(const Pack& pack, std::size_t index = 0) { return *pack.frames->read(index); }
+
 // A pack of one 64x48 frame: left half 2 m, right half unknown; fx 100.
 class SmallPack : public testing::Test {
  protected:
@@ -70,23 +72,23 @@ class SmallPack : public testing::Test {
   }
 
   fs::path root_;
-  PackUse use_{"pack", PackUse::Teacher::kSensor, 0, 1, 1, 1};
+  PackUse use_{"pack", Teacher::kSensor, 0, 1, 1, 1, false, "maps", Alignment::kNone};
 };
 
 TEST_F(SmallPack, IsReadInMetres) {
   const Result<Pack> pack = load_pack(root_, use_, 640);
   ASSERT_TRUE(pack) << pack.status().text();
-  EXPECT_FLOAT_EQ(pack->frames[0].depth.at<float>(10, 10), 2);
-  EXPECT_FLOAT_EQ(pack->frames[0].depth.at<float>(10, 50), 0);
-  EXPECT_FLOAT_EQ(pack->frames[0].camera.fx, 100);
-  EXPECT_NEAR(pack->frames[0].rgb.at<cv::Vec3b>(20, 20)[0], 200, 4);  // red first
+  EXPECT_FLOAT_EQ(frame_of(*pack).depth.at<float>(10, 10), 2);
+  EXPECT_FLOAT_EQ(frame_of(*pack).depth.at<float>(10, 50), 0);
+  EXPECT_FLOAT_EQ(frame_of(*pack).camera.fx, 100);
+  EXPECT_NEAR(frame_of(*pack).rgb.at<cv::Vec3b>(20, 20)[0], 200, 4);  // red first
 }
 
 TEST_F(SmallPack, IsReducedWithItsIntrinsics) {
   const Result<Pack> pack = load_pack(root_, use_, 32);
   ASSERT_TRUE(pack);
-  EXPECT_EQ(pack->frames[0].rgb.size(), cv::Size(32, 24));
-  EXPECT_FLOAT_EQ(pack->frames[0].camera.fx, 50);
+  EXPECT_EQ(frame_of(*pack).rgb.size(), cv::Size(32, 24));
+  EXPECT_FLOAT_EQ(frame_of(*pack).camera.fx, 50);
 }
 
 TEST_F(SmallPack, BadFilesAreNamed) {
@@ -104,7 +106,7 @@ TEST_F(SmallPack, CropKeepsDepthAtTheCanonicalFocalLength) {
   BatchShape shape{96, 64, 80, 1, false};
   for (std::uint64_t seed = 0; seed < 8; ++seed) {
     SampleRandom random(seed, 0, 0);
-    const AugmentedSample sample = augment(*pack, 0, shape, random);
+    const AugmentedSample sample = *augment(*pack, 0, shape, random);
     double most = 0;
     cv::minMaxLoc(sample.depth, nullptr, &most);
     if (most > 0) {
@@ -124,13 +126,70 @@ TEST_F(SmallPack, BatchIsAFunctionOfSeedAndStep) {
   ASSERT_TRUE(pack);
   const std::vector<Pack> packs = {*pack};
   const BatchShape shape{96, 64, 80, 2, false};
-  const Batch a = make_batch(packs, shape, 1, 5);
-  EXPECT_TRUE(torch::equal(a.rgb, make_batch(packs, shape, 1, 5).rgb));
-  EXPECT_FALSE(torch::equal(a.rgb, make_batch(packs, shape, 1, 6).rgb));
-  EXPECT_FALSE(torch::equal(a.rgb, make_batch(packs, shape, 2, 5).rgb));
-  BatchLoader loader(packs, {shape}, 1, 4);
-  loader.next();
-  EXPECT_TRUE(torch::equal(a.rgb, loader.next().rgb));
+  const Batch a = *make_batch(packs, shape, 1, 5);
+  EXPECT_TRUE(torch::equal(a.rgb, make_batch(packs, shape, 1, 5)->rgb));
+  EXPECT_FALSE(torch::equal(a.rgb, make_batch(packs, shape, 1, 6)->rgb));
+  EXPECT_FALSE(torch::equal(a.rgb, make_batch(packs, shape, 2, 5)->rgb));
+  BatchLoader loader(packs, {shape}, 1, 4, 2);
+  ASSERT_TRUE(loader.next());
+  EXPECT_TRUE(torch::equal(a.rgb, loader.next()->rgb));
+}
+
+// Frames of which every second cannot be read.
+class DamagedFrames final : public Frames {
+ public:
+  explicit DamagedFrames(bool all) : all_(all) {}
+  std::size_t size() const override { return 20; }
+  std::string name(std::size_t index) const override { return std::to_string(index); }
+  Result<PackFrame> read(std::size_t index) const override {
+    if (all_ || index % 2 == 1) {
+      return Status::error(StatusCode::kCorrupt, "%zu.jpg is not a picture", index);
+    }
+    return PackFrame{name(index), cv::Mat(48, 64, CV_8UC3, cv::Scalar::all(9)),
+                     cv::Mat(48, 64, CV_32F, cv::Scalar(2)),
+                     CameraModel::from_field_of_view(64, 48, 60)};
+  }
+  bool has_neighbours(std::size_t /*index*/) const override { return false; }
+  Result<cv::Mat> neighbour(std::size_t /*index*/, int /*offset*/) const override {
+    return Status::error(StatusCode::kNotFound, "none");
+  }
+
+ private:
+  bool all_;
+};
+
+std::vector<Pack> damaged_packs(bool all) {
+  Pack pack;
+  pack.use.wide_share = pack.use.tall_share = 1;
+  pack.frames = std::make_shared<DamagedFrames>(all);
+  for (std::size_t i = 0; i < pack.frames->size(); ++i) pack.train.push_back(i);
+  return {pack};
+}
+
+TEST(Batches, CountAndReplaceFramesThatCannotBeRead) {
+  const Result<Batch> batch = make_batch(damaged_packs(false), {96, 64, 80, 16, false}, 1, 5);
+  ASSERT_TRUE(batch) << batch.status().text();
+  EXPECT_GT(batch->unreadable, 0);
+  EXPECT_TRUE((batch->target.depth > 0).all().item<bool>());
+}
+
+TEST(Batches, FailByNameWhereNoFrameCanBeRead) {
+  const Result<Batch> batch = make_batch(damaged_packs(true), {96, 64, 80, 2, false}, 1, 5);
+  ASSERT_EQ(batch.code(), StatusCode::kCorrupt);
+  EXPECT_NE(std::string(batch.status().text()).find(".jpg is not a picture"), std::string::npos);
+}
+
+// What a second process takes of a shared batch is the second half of the whole batch.
+TEST(Batches, AreSharedByProcesses) {
+  ScenePackOptions options;
+  options.train_frames = 4;
+  options.validation_frames = 0;
+  const std::vector<Pack> packs = {render_scene_pack(options)};
+  BatchShape shape{96, 64, 80, 4, false};
+  const Batch whole = *make_batch(packs, shape, 3, 1);
+  shape.images = 2;
+  shape.first = 2;
+  EXPECT_TRUE(torch::equal(make_batch(packs, shape, 3, 1)->rgb, whole.part(2, 2).rgb));
 }
 
 TEST(ScenePack, ValidatesOnUnseenWorlds) {
@@ -138,12 +197,12 @@ TEST(ScenePack, ValidatesOnUnseenWorlds) {
   options.train_frames = 6;
   options.validation_frames = 2;
   const Pack pack = render_scene_pack(options);
-  ASSERT_EQ(pack.frames.size(), 8U);
+  ASSERT_EQ(pack.frames->size(), 8U);
   for (const std::size_t index : pack.validation) {
     EXPECT_EQ(std::count(pack.train.begin(), pack.train.end(), index), 0);
   }
   double least = 0;
-  cv::minMaxLoc(pack.frames[0].depth, &least, nullptr);
+  cv::minMaxLoc(frame_of(pack).depth, &least, nullptr);
   EXPECT_GT(least, 0);  // no holes: the sky is far
 }
 

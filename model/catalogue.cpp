@@ -1,0 +1,301 @@
+#include "model/catalogue.h"
+
+#include <toml.hpp>
+
+#include "model/kitti_raw.h"
+#include "model/make3d.h"
+#include "model/nyu_depth.h"
+#include "model/scene_pack.h"
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+using Form = CatalogueEntry::Form;
+
+constexpr int kTrainingWidth = 640;      // wider pictures are reduced
+constexpr int kTestWidth = 1 << 14;      // that is, never
+constexpr std::size_t kListedLast = 10;  // of a listed set without a split: every 10th validates
+
+// One table of the file. Every value is asked for once; what is left over is a mistake.
+class Table {
+ public:
+  Table(std::string file, const toml::value& value) : file_(std::move(file)), value_(value) {
+    if (value.is_table()) left_ = value.as_table();
+  }
+
+  // Leaves `out` alone where the key is missing. False, with error(), where its type is wrong.
+  void take(const char* key, std::string& out) {
+    take_value(key, "a text in quotes", [&out](const toml::value& v) {
+      if (v.is_string()) out = v.as_string().str;
+      return v.is_string();
+    });
+  }
+  void take(const char* key, bool& out) {
+    take_value(key, "true or false", [&out](const toml::value& v) {
+      if (v.is_boolean()) out = v.as_boolean();
+      return v.is_boolean();
+    });
+  }
+  // Not negative.
+  void take(const char* key, float& out) {
+    take_value(key, "a number, 0 or more", [&out](const toml::value& v) {
+      if (!v.is_floating() && !v.is_integer()) return false;
+      const double number = v.is_floating() ? v.as_floating() : static_cast<double>(v.as_integer());
+      if (!(number >= 0 && number < 1e9)) return false;
+      out = static_cast<float>(number);
+      return true;
+    });
+  }
+  template <typename Enum>
+  void take(const char* key, const std::map<std::string, Enum>& names, Enum& out) {
+    std::string all;
+    for (const auto& item : names) all += (all.empty() ? "" : ", ") + item.first;
+    take_value(key, ("one of " + all).c_str(), [&](const toml::value& v) {
+      const auto found = v.is_string() ? names.find(v.as_string().str) : names.end();
+      if (found != names.end()) out = found->second;
+      return found != names.end();
+    });
+  }
+
+  Status fault(const std::string& text) const {
+    return Status::error(StatusCode::kInvalidInput, "%s:%u: %s", file_.c_str(),
+                         static_cast<unsigned>(value_.location().line()), text.c_str());
+  }
+  // The first fault found, or the first key that nobody asked for.
+  Status finish() const {
+    if (!error_) return error_;
+    if (left_.empty()) return Status::ok();
+    return fault("no key \"" + left_.begin()->first + "\" here: see model/data/README.md");
+  }
+
+ private:
+  template <typename Read>
+  void take_value(const char* key, const char* wanted, const Read& read) {
+    const auto found = left_.find(key);
+    if (found == left_.end()) return;
+    if (error_ && !read(found->second)) error_ = fault(std::string(key) + " must be " + wanted);
+    left_.erase(key);
+  }
+
+  std::string file_;
+  const toml::value& value_;
+  toml::table left_;
+  Status error_;
+};
+
+Result<CatalogueEntry> read_entry(const std::string& file, const toml::value& value) {
+  static const std::map<std::string, Form> forms = {{"pack", Form::kPack},
+                                                    {"kitti-raw", Form::kKittiRaw},
+                                                    {"nyu", Form::kNyu},
+                                                    {"make3d", Form::kMake3d}};
+  static const std::map<std::string, Teacher> teachers = {
+      {"sensor", Teacher::kSensor}, {"maps", Teacher::kMaps}, {"none", Teacher::kNone}};
+  static const std::map<std::string, Alignment> alignments = {
+      {"none", Alignment::kNone}, {"scale", Alignment::kScale}, {"affine", Alignment::kAffine}};
+  CatalogueEntry entry;
+  PackUse& use = entry.use;
+  std::string protocol = "indoor";
+  Table table(file, value);
+  table.take("form", forms, entry.form);
+  table.take("path", entry.path);
+  table.take("teacher", teachers, use.teacher);
+  table.take("maps", use.maps);
+  table.take("align", alignments, use.alignment);
+  table.take("field-of-view", use.field_of_view);
+  table.take("trust", use.weight);
+  table.take("wide-share", use.wide_share);
+  table.take("tall-share", use.tall_share);
+  table.take("video", use.video);
+  table.take("protocol", protocol);
+  table.take("list", entry.list);
+  table.take("ground-truth", entry.ground_truth);
+  LCDM_RETURN_IF_ERROR(table.finish());
+  if (entry.path.empty()) return table.fault("the entry has no path");
+  const Result<Protocol> found = protocol_named(protocol);
+  if (!found) return table.fault(found.status().text());
+  entry.protocol = *found;
+  use.name = entry.path;
+  return entry;
+}
+
+Status read_entries(const std::string& file, const toml::value& root, const char* key,
+                    std::vector<CatalogueEntry>& entries) {
+  if (!root.contains(key)) return Status::ok();
+  const toml::value& list = root.at(key);
+  if (!list.is_array()) {
+    return Status::error(StatusCode::kInvalidInput, "%s: write [[%s]] before each entry",
+                         file.c_str(), key);
+  }
+  for (const toml::value& value : list.as_array()) {
+    Result<CatalogueEntry> entry = read_entry(file, value);
+    if (!entry) return entry.status();
+    entries.push_back(std::move(*entry));
+  }
+  return Status::ok();
+}
+
+Result<Catalogue> catalogue_of(const std::string& file, const toml::value& root) {
+  Catalogue catalogue;
+  LCDM_RETURN_IF_ERROR(read_entries(file, root, "train", catalogue.train));
+  LCDM_RETURN_IF_ERROR(read_entries(file, root, "test", catalogue.test));
+  if (root.contains("scene")) {
+    float frames = 0;
+    Table scene(file, root.at("scene"));
+    scene.take("frames", frames);
+    scene.take("wide-share", catalogue.scene_wide_share);
+    scene.take("tall-share", catalogue.scene_tall_share);
+    LCDM_RETURN_IF_ERROR(scene.finish());
+    catalogue.scene_frames = static_cast<std::size_t>(frames);
+  }
+  toml::value rest = root;
+  for (const char* key : {"train", "test", "scene"}) rest.as_table().erase(key);
+  Table top(file, rest);
+  top.take("licence", catalogue.licence);
+  top.take("root", catalogue.root);
+  LCDM_RETURN_IF_ERROR(top.finish());
+  return catalogue;
+}
+
+// A listed data set has no split of its own.
+Pack listed_pack(const CatalogueEntry& entry, std::shared_ptr<const Frames> frames) {
+  Pack pack;
+  pack.use = entry.use;
+  pack.frames = std::move(frames);
+  for (std::size_t i = 0; i < pack.frames->size(); ++i) {
+    (i % kListedLast == kListedLast - 1 ? pack.validation : pack.train).push_back(i);
+  }
+  return pack;
+}
+
+Result<std::shared_ptr<const Frames>> open_kitti(const CatalogueEntry& entry, const fs::path& root,
+                                                 int max_width) {
+  KittiRawOptions options;
+  options.root = (root / entry.path).string();
+  options.list = (root / entry.list).string();
+  options.max_width = max_width;
+  if (entry.use.teacher == Teacher::kMaps) {
+    options.depth = KittiRawOptions::Depth::kMaps;
+    options.depth_root = (root / entry.use.maps).string();
+  } else if (entry.ground_truth == "velodyne") {
+    options.depth = KittiRawOptions::Depth::kVelodyne;
+  } else if (!entry.ground_truth.empty()) {
+    options.depth = KittiRawOptions::Depth::kImproved;
+    options.depth_root = (root / entry.ground_truth).string();
+  }
+  return open_kitti_raw(options);
+}
+
+Result<Pack> open_entry(const CatalogueEntry& entry, const fs::path& root, int max_width,
+                        std::size_t every) {
+  if (entry.form == Form::kPack) return load_pack(root, entry.use, max_width, every);
+  const auto frames = [&]() -> Result<std::shared_ptr<const Frames>> {
+    if (entry.form == Form::kNyu) return open_nyu_depth((root / entry.path).string());
+    if (entry.form == Form::kMake3d) return open_make3d((root / entry.path).string());
+    return open_kitti(entry, root, max_width);
+  }();
+  if (!frames) return frames.status();
+  return listed_pack(entry, *frames);
+}
+
+// A pack of the user's own: trusted, for both shapes alike.
+CatalogueEntry own_entry(const fs::path& folder) {
+  CatalogueEntry entry;
+  entry.path = entry.use.name = folder.filename().string();
+  entry.use.wide_share = entry.use.tall_share = 1;
+  return entry;
+}
+
+void add(Data& data, Pack pack, const Protocol& protocol) {
+  data.packs.push_back(std::move(pack));
+  data.protocols.push_back(protocol);
+}
+
+// Packs of the user's own need no catalogue.
+Result<Catalogue> catalogue_for(const DataOptions& options) {
+  if (!options.packs.empty()) return Catalogue();
+  Result<Catalogue> catalogue = read_catalogue(options.catalogue);
+  if (catalogue && !options.root.empty()) catalogue->root = options.root;
+  return catalogue;
+}
+
+}  // namespace
+
+Result<Catalogue> read_catalogue(const std::string& file) {
+  if (!fs::is_regular_file(file)) {
+    return Status::error(StatusCode::kNotFound,
+                         "%s: no such catalogue of data: name one with --data (model/data/)",
+                         file.c_str());
+  }
+  try {
+    return catalogue_of(file, toml::parse(file));
+  } catch (const std::exception& error) {
+    const std::string what = error.what();
+    return Status::error(StatusCode::kCorrupt, "%s: %s", file.c_str(),
+                         what.substr(0, what.find('\n')).c_str());
+  }
+}
+
+void add_data_options(CLI::App& command, DataOptions& options) {
+  command.add_option("--data", options.catalogue, "Catalogue of the data (model/data/)")
+      ->capture_default_str();
+  command.add_option("--data-root", options.root, "Folder of the data, instead of the catalogue's");
+  command.add_option("--every", options.every, "Keep every n-th frame of a pack")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command
+      .add_option("--scene-frames", options.scene_frames,
+                  "Rendered training frames, instead of the catalogue's number")
+      ->check(CLI::NonNegativeNumber);
+  command
+      .add_option("--pack", options.packs,
+                  "Train on this pack (rgb/, depth/, intrinsics.json) instead of the catalogue's; "
+                  "may be given again")
+      ->check(CLI::ExistingDirectory);
+}
+
+Result<Data> load_training_data(const DataOptions& options) {
+  const Result<Catalogue> catalogue = catalogue_for(options);
+  if (!catalogue) return catalogue.status();
+  Data data;
+  data.licence = catalogue->licence;
+  data.root = catalogue->root;
+  const auto take = [&](const CatalogueEntry& entry, const fs::path& root) -> Status {
+    Result<Pack> pack = open_entry(entry, root, kTrainingWidth, options.every);
+    if (!pack) return pack.status();
+    add(data, std::move(*pack), entry.protocol);
+    return Status::ok();
+  };
+  for (const std::string& folder : options.packs) {
+    const fs::path path = fs::canonical(folder);
+    LCDM_RETURN_IF_ERROR(take(own_entry(path), path.parent_path()));
+  }
+  for (const CatalogueEntry& entry : catalogue->train) {
+    LCDM_RETURN_IF_ERROR(take(entry, catalogue->root));
+  }
+  ScenePackOptions scene;
+  scene.train_frames = options.scene_frames.value_or(catalogue->scene_frames);
+  scene.wide_share = catalogue->scene_wide_share;
+  scene.tall_share = catalogue->scene_tall_share;
+  if (scene.train_frames > 0) add(data, render_scene_pack(scene), *protocol_named("scene"));
+  return data;
+}
+
+Result<Data> load_test_data(const DataOptions& options) {
+  const Result<Catalogue> catalogue = catalogue_for(options);
+  if (!catalogue) return catalogue.status();
+  Data data;
+  data.licence = catalogue->licence;
+  data.root = catalogue->root;
+  for (const CatalogueEntry& entry : catalogue->test) {
+    Result<Pack> pack = open_entry(entry, catalogue->root, kTestWidth, 1);
+    if (!pack) return pack.status();
+    pack->train.clear();
+    pack->validation.resize(pack->frames->size());
+    for (std::size_t i = 0; i < pack->validation.size(); ++i) pack->validation[i] = i;
+    add(data, std::move(*pack), entry.protocol);
+  }
+  return data;
+}
+
+}  // namespace lcdm::model

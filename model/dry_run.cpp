@@ -1,0 +1,98 @@
+#include "model/dry_run.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <set>
+#include <sys/resource.h>
+
+#include "firmware/nn/network.h"
+
+namespace lcdm::model {
+namespace {
+
+double millions(const torch::nn::Module& network) {
+  std::int64_t count = 0;
+  for (const torch::Tensor& weight : network.parameters()) count += weight.numel();
+  return static_cast<double>(count) * 1e-6;
+}
+
+// Of the program so far, the packs included.
+double peak_gigabytes() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<double>(usage.ru_maxrss) / (1 << 20);
+}
+
+void print_networks(const ModelConfig& config, const Recipe& recipe) {
+  const TrainedNetworks networks(config, recipe.losses.photometric > 0);
+  std::printf("depth network  %.2f M parameters\n", millions(*networks->depth));
+  if (!networks->pose.is_empty()) {
+    std::printf("pose network   %.2f M parameters\n", millions(*networks->pose));
+  }
+  for (const auto& [width, height] : kDeployed) {
+    const Result<Network> layers = Network::build(config, width, height);
+    if (!layers) continue;
+    std::printf("%dx%d        %.2f GMAC with %zu sampling steps\n", width, height,
+                static_cast<double>(layers->macs()) * 1e-9, config.steps.size());
+  }
+}
+
+// Seconds of a step of `recipe`, both shapes alike: of the second pair, when everything is there.
+Result<double> seconds_of_step(const Recipe& recipe, const std::vector<Pack>& packs,
+                               const Compute& compute) {
+  const auto trainer = Trainer::make(recipe, packs, compute);
+  if (!trainer) return trainer.status();
+  double seconds = 0;
+  for (int i = 0; i < 4; ++i) {
+    const auto begin = std::chrono::steady_clock::now();
+    const Result<Losses> losses = (*trainer)->advance();
+    if (!losses) return losses.status();
+    if (i < 2) continue;
+    seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count() / 2;
+  }
+  return seconds;
+}
+
+// The shares of the steps at which something changes, 0 and 1 included.
+std::vector<double> borders_of(const Recipe& recipe) {
+  std::set<double> borders = {0, 1, recipe.head_from};
+  for (std::size_t i = 0; i + 1 < recipe.stages.size(); ++i) borders.insert(recipe.stages[i].until);
+  return {borders.begin(), borders.end()};
+}
+
+}  // namespace
+
+Status dry_run(const Recipe& recipe, const std::vector<Pack>& packs, const Compute& compute) {
+  double hours = 0;
+  std::int64_t images = 0;
+  const std::vector<double> borders = borders_of(recipe);
+  for (std::size_t i = 0; i + 1 < borders.size(); ++i) {
+    Recipe part = recipe;
+    std::size_t stage = 0;
+    while (stage + 1 < recipe.stages.size() && recipe.stages[stage].until <= borders[i]) ++stage;
+    part.stages = {recipe.stages[stage]};
+    part.head_from = borders[i] >= recipe.head_from ? 0 : 1;
+    part.steps = 1000;  // not to be reached
+    const Result<double> seconds = seconds_of_step(part, packs, compute);
+    if (!seconds) return seconds.status();
+    const double steps = (borders[i + 1] - borders[i]) * static_cast<double>(recipe.steps);
+    const int batch = recipe.stages[stage].images * recipe.accumulate * compute.processes->size();
+    std::printf("%5.0f steps     %.2f s each: size x %.2f, %d pictures, %s\n", steps, *seconds,
+                recipe.stages[stage].share, batch,
+                part.head_from > 0 ? "without the head" : "with the head");
+    hours += steps * *seconds / 3600;
+    images += static_cast<std::int64_t>(steps) * batch;
+  }
+  ModelConfig config;
+  config.encoder = recipe.encoder;
+  config.preset = recipe.preset;
+  if (recipe.preset == PresetKind::kPaper) config.steps = {75, 0};
+  print_networks(config, recipe);
+  std::printf("memory         %.2f GB at the most so far, the packs included\n", peak_gigabytes());
+  std::printf("expected time  %.1f hours for %lld pictures\n", hours,
+              static_cast<long long>(images));
+  return Status::ok();
+}
+
+}  // namespace lcdm::model

@@ -1,0 +1,144 @@
+#include "model/recipe_options.h"
+
+namespace lcdm::model {
+namespace {
+
+void add_network_options(CLI::App& command, Recipe& recipe) {
+  const std::map<std::string, EncoderKind> encoders = {
+      {"xxs", EncoderKind::kXxs}, {"xs", EncoderKind::kXs}, {"s", EncoderKind::kS}};
+  const std::map<std::string, PresetKind> presets = {{"lcdm", PresetKind::kLcdm},
+                                                     {"paper", PresetKind::kPaper}};
+  const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
+                                                   {"zeros", StartKind::kZeros}};
+  command.add_option("--encoder", recipe.encoder, "xxs, xs or s")
+      ->transform(CLI::CheckedTransformer(encoders));
+  command.add_option("--preset", recipe.preset, "lcdm or paper")
+      ->transform(CLI::CheckedTransformer(presets));
+  command.add_option("--start", recipe.start, "Where the sampler starts: noise or zeros")
+      ->transform(CLI::CheckedTransformer(starts));
+  command.add_option("--seed", recipe.seed, "Of weights, batches and noise")->capture_default_str();
+}
+
+void add_schedule_options(CLI::App& command, RecipeOptions& options) {
+  Recipe& recipe = options.recipe;
+  command.add_option("--steps", recipe.steps, "Optimiser steps in all")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command.add_option(
+      "--stage", options.stages,
+      "SHARE:IMAGES:UNTIL, in order: size of the pictures as a share of the deployed "
+      "one, pictures in a batch, and up to which share of the steps "
+      "(0.5:8:0.8 1:4:1)");
+  command
+      .add_option(
+          "--head-from", recipe.head_from,
+          "Share of the steps before which only encoder, decoder and the 0-step answer train")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  command
+      .add_option("--freeze-from", recipe.freeze_from,
+                  "Share of the steps after which batch-norm statistics are frozen")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  command.add_option("--accumulate", recipe.accumulate, "Batches of an optimiser step")
+      ->check(CLI::Range(1, 1024))
+      ->capture_default_str();
+  command
+      .add_option("--workers", recipe.workers,
+                  "Threads that train on a part of each batch (the weights depend on their number)")
+      ->check(CLI::Range(1, 256))
+      ->capture_default_str();
+  command.add_flag("--bf16", recipe.bf16, "Encoder and decoder in bfloat16");
+}
+
+void add_optimiser_options(CLI::App& command, Recipe& recipe) {
+  command.add_option("--learning-rate", recipe.learning_rate, "At its highest")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command.add_option("--final-rate", recipe.final_rate, "At the end of the cosine")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  command.add_option("--warm-up", recipe.warm_up, "Steps to the highest rate")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command.add_option("--weight-decay", recipe.weight_decay, "Of AdamW")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  command.add_option("--clip", recipe.clip, "Largest norm of the gradient")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command.add_option("--average", recipe.average, "Of the moving average of the weights")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+}
+
+void add_loss_options(CLI::App& command, LossWeights& weights) {
+  const auto add = [&command](const char* name, double& weight, const char* what) {
+    command.add_option(name, weight, what)->check(CLI::NonNegativeNumber)->capture_default_str();
+  };
+  add("--distillation", weights.distillation, "Weight of the depth distillation");
+  add("--denoising", weights.denoising, "Weight of the denoising loss");
+  add("--normals", weights.normals, "Weight of the surface-normal distillation");
+  add("--photometric", weights.photometric, "Weight of the photometric loss");
+  add("--smoothness", weights.smoothness, "Weight of the edge-aware smoothness");
+  add("--gradient", weights.gradient, "Weight of the gradient loss");
+  add("--direct", weights.direct, "Weight of the 0-step answer's losses");
+}
+
+}  // namespace
+
+void add_recipe_options(CLI::App& command, RecipeOptions& options) {
+  add_network_options(command, options.recipe);
+  add_schedule_options(command, options);
+  add_optimiser_options(command, options.recipe);
+  add_loss_options(command, options.recipe.losses);
+}
+
+Result<Recipe> recipe_of(const RecipeOptions& options) {
+  Recipe recipe = options.recipe;
+  if (options.stages.empty()) return recipe;
+  recipe.stages.clear();
+  double begin = 0;
+  for (const std::string& text : options.stages) {
+    const Result<Stage> stage = parse_stage(text);
+    if (!stage) return stage.status();
+    if (stage->until <= begin) {
+      return Status::error(StatusCode::kInvalidInput,
+                           "--stage %s: ends before it begins, at %g of the steps", text.c_str(),
+                           begin);
+    }
+    begin = stage->until;
+    recipe.stages.push_back(*stage);
+  }
+  return recipe;
+}
+
+void add_compute_options(CLI::App& command, ComputeOptions& options) {
+  command.add_option("--device", options.device, "cpu or cuda")
+      ->check(CLI::IsMember({"cpu", "cuda"}))
+      ->capture_default_str();
+  command.add_option("--loaders", options.loaders, "Batches made at once, a thread each")
+      ->check(CLI::Range(1, 64))
+      ->capture_default_str();
+}
+
+Result<Compute> compute_of(const ComputeOptions& options) {
+  Compute compute;
+  compute.loaders = options.loaders;
+  if (options.device == "cuda") {
+    if (!torch::cuda::is_available()) {
+      return Status::error(StatusCode::kInvalidInput,
+                           "--device cuda: this LibTorch sees no CUDA device; use cpu, or build "
+                           "against a LibTorch with CUDA (CMAKE_PREFIX_PATH)");
+    }
+    const Result<int> index = local_rank();
+    if (!index) return index.status();
+    compute.device = torch::Device(torch::kCUDA, static_cast<c10::DeviceIndex>(*index));
+  }
+  auto processes = Processes::join(compute.device);
+  if (!processes) return processes.status();
+  compute.processes = *processes;
+  return compute;
+}
+
+}  // namespace lcdm::model

@@ -1,0 +1,81 @@
+#include "model/training_log.h"
+
+#include <unistd.h>
+
+namespace lcdm::model {
+namespace {
+
+// `fresh` becomes whether the file has just been made.
+std::FILE* open_to_append(const std::filesystem::path& path, bool& fresh) {
+  fresh = !std::filesystem::exists(path);
+  return std::fopen(path.c_str(), "a");
+}
+
+}  // namespace
+
+TrainingLog::TrainingLog(const std::filesystem::path& folder, std::int64_t first,
+                         std::int64_t total)
+    : terminal_(isatty(STDOUT_FILENO) != 0), first_(first), total_(total) {
+  bool fresh = false;
+  curve_ = open_to_append(folder / "curve.csv", fresh);
+  if (curve_ != nullptr && fresh) {
+    std::fprintf(curve_, "step,images,seconds,learning_rate");
+    for (const char* name : kTermNames) std::fprintf(curve_, ",%s", name);
+    std::fprintf(curve_, "\n");
+  }
+  validation_ = open_to_append(folder / "validation.csv", fresh);
+  if (validation_ != nullptr && fresh) std::fprintf(validation_, "step,set,abs_rel,d1,constant\n");
+}
+
+TrainingLog::~TrainingLog() {
+  if (curve_ != nullptr) std::fclose(curve_);
+  if (validation_ != nullptr) std::fclose(validation_);
+  if (terminal_) std::printf("\n");
+}
+
+void TrainingLog::add(const Trainer& trainer, const Losses& losses) {
+  for (std::size_t i = 0; i < sums_.size(); ++i) sums_[i] += losses.terms[i];
+  ++count_;
+  if (trainer.step() % kLines != 0 && !trainer.done()) return;
+  print(trainer);
+  sums_ = {};
+  count_ = 0;
+}
+
+void TrainingLog::print(const Trainer& trainer) {
+  const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
+  const double per_step = seconds / static_cast<double>(trainer.step() - first_);
+  const double left = per_step * static_cast<double>(total_ - trainer.step());
+  const double n = static_cast<double>(count_);
+  std::printf("%s%lld/%lld  %.2f s/step  %.0f min left", terminal_ ? "\r" : "",
+              static_cast<long long>(trainer.step()), static_cast<long long>(total_), per_step,
+              left / 60);
+  for (std::size_t i = 0; i < sums_.size(); ++i) {
+    if (sums_[i] != 0) std::printf("  %s %.4f", kTermNames[i], sums_[i] / n);
+  }
+  std::printf("%s", terminal_ ? "  " : "\n");
+  std::fflush(stdout);
+  if (curve_ == nullptr) return;
+  std::fprintf(curve_, "%lld,%lld,%.1f,%.3g", static_cast<long long>(trainer.step()),
+               static_cast<long long>(trainer.images()), seconds, trainer.learning_rate());
+  for (const double sum : sums_) std::fprintf(curve_, ",%.5f", sum / n);
+  std::fprintf(curve_, "\n");
+  std::fflush(curve_);
+}
+
+void TrainingLog::add(const Trainer& trainer, const Validation& validation, bool best) {
+  const auto step = static_cast<long long>(trainer.step());
+  std::printf("%svalidation at step %lld: %.3f of a constant depth's AbsRel%s\n",
+              terminal_ ? "\n" : "", step, validation.score, best ? ", the best so far" : "");
+  for (const Validation::Set& set : validation.sets) {
+    std::printf("  %s: AbsRel %.3f, d1 %.3f (constant %.3f)\n", set.name.c_str(),
+                set.network.abs_rel, set.network.delta1, set.constant.abs_rel);
+    if (validation_ == nullptr) continue;
+    std::fprintf(validation_, "%lld,%s,%.5f,%.5f,%.5f\n", step, set.name.c_str(),
+                 set.network.abs_rel, set.network.delta1, set.constant.abs_rel);
+  }
+  std::fflush(stdout);
+  if (validation_ != nullptr) std::fflush(validation_);
+}
+
+}  // namespace lcdm::model

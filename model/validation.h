@@ -1,0 +1,31 @@
+// One number that says how good a network is while it trains, on frames it does not train on.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "model/catalogue.h"
+#include "model/metrics.h"
+#include "model/network.h"
+
+namespace lcdm::model {
+
+struct Validation {
+  struct Set {
+    std::string name;
+    Metrics network;
+    Metrics constant;  // of a constant depth on the same frames
+  };
+  std::vector<Set> sets;
+  // Mean over the sets of AbsRel as a share of a constant depth's: lower is better, 1 knows
+  // nothing. Over the sets with sensor depth, where there are some: maps only say how alike the
+  // teacher is.
+  double score = 0;
+};
+
+// At most `frames` frames of each pack's validation part, evenly spaced, at `share` of the deployed
+// size. `steps` as network_estimator.
+Validation validate(DepthNetwork& network, int steps, double share, const Data& data,
+                    std::size_t frames);
+
+}  // namespace lcdm::model

@@ -1,0 +1,106 @@
+// Catalogues of data: what they say, and how they say what is wrong with them.
+#include "model/catalogue.h"
+
+#include <filesystem>
+#include <fstream>
+#include <gtest/gtest.h>
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+
+class CatalogueTest : public testing::Test {
+ protected:
+  void TearDown() override { fs::remove(path_); }
+  Result<Catalogue> read(const std::string& text) {
+    std::ofstream(path_) << text;
+    return read_catalogue(path_);
+  }
+  void expect_fault(const std::string& text, const std::string& part) {
+    const Result<Catalogue> catalogue = read(text);
+    ASSERT_FALSE(catalogue);
+    EXPECT_NE(std::string(catalogue.status().text()).find(part), std::string::npos)
+        << catalogue.status().text();
+  }
+
+  std::string path_ = (fs::path(testing::TempDir()) / "lcdm-catalogue.toml").string();
+};
+
+TEST_F(CatalogueTest, SaysWhatEachSetIsFor) {
+  const Result<Catalogue> catalogue = read(R"(
+licence = "free"
+root = "/data"
+[scene]
+frames = 8
+wide-share = 0.5
+[[train]]
+path = "rooms"
+teacher = "maps"
+maps = "big_model"
+align = "affine"
+trust = 0.5
+tall-share = 2
+[[test]]
+form = "kitti-raw"
+path = "kitti"
+list = "test_files.txt"
+ground-truth = "velodyne"
+protocol = "kitti"
+)");
+  ASSERT_TRUE(catalogue) << catalogue.status().text();
+  EXPECT_EQ(catalogue->licence, "free");
+  EXPECT_EQ(catalogue->scene_frames, 8U);
+  ASSERT_EQ(catalogue->train.size(), 1U);
+  const PackUse& use = catalogue->train[0].use;
+  EXPECT_EQ(use.teacher, Teacher::kMaps);
+  EXPECT_EQ(use.maps, "big_model");
+  EXPECT_EQ(use.alignment, Alignment::kAffine);
+  EXPECT_FLOAT_EQ(use.weight, 0.5);
+  EXPECT_FLOAT_EQ(use.tall_share, 2);
+  ASSERT_EQ(catalogue->test.size(), 1U);
+  EXPECT_EQ(catalogue->test[0].form, CatalogueEntry::Form::kKittiRaw);
+  EXPECT_EQ(catalogue->test[0].protocol.crop, Protocol::Crop::kGarg);
+}
+
+TEST_F(CatalogueTest, FaultsNameLineAndCure) {
+  expect_fault("root = 5", ":1: root must be a text in quotes");
+  expect_fault("[[train]]\npath = \"a\"\ntrusst = 1", "no key \"trusst\"");
+  expect_fault("[[train]]\npath = \"a\"\ntrust = -1", "trust must be a number, 0 or more");
+  expect_fault("[[train]]\npath = \"a\"\nteacher = \"guess\"", "one of maps, none, sensor");
+  expect_fault("[[train]]\npath = \"a\"\nprotocol = \"x\"", "is no protocol");
+  expect_fault("[[train]]\ntrust = 1", "has no path");
+  expect_fault("[train]\npath = \"a\"", "write [[train]]");
+  expect_fault("[[train]\n", "lcdm-catalogue.toml");
+  EXPECT_EQ(read_catalogue("no/such.toml").code(), StatusCode::kNotFound);
+}
+
+// The committed ones: nothing of the research catalogue's licences in the open one.
+TEST(Catalogues, OfTheProjectAreWellFormed) {
+  const Result<Catalogue> research = read_catalogue("model/data/research.toml");
+  ASSERT_TRUE(research) << research.status().text();
+  const Result<Catalogue> open = read_catalogue("model/data/open.toml");
+  ASSERT_TRUE(open) << open.status().text();
+  EXPECT_FALSE(research->licence.empty());
+  EXPECT_EQ(research->test.size(), open->test.size());
+  for (const CatalogueEntry& entry : open->train) {
+    EXPECT_TRUE(entry.path == "indoor_hololens_dvmvs" ||
+                entry.path.find("carnd") != std::string::npos)
+        << entry.path << " is not known to be free";
+  }
+}
+
+TEST(Catalogues, LoadTheSceneAlone) {
+  const std::string path = (fs::path(testing::TempDir()) / "lcdm-scene.toml").string();
+  std::ofstream(path) << "[scene]\nframes = 4\n";
+  DataOptions options;
+  options.catalogue = path;
+  const Result<Data> data = load_training_data(options);
+  fs::remove(path);
+  ASSERT_TRUE(data) << data.status().text();
+  ASSERT_EQ(data->packs.size(), 1U);
+  EXPECT_EQ(data->packs[0].train.size(), 4U);
+}
+
+}  // namespace
+}  // namespace lcdm::model

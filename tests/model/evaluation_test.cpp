@@ -1,0 +1,105 @@
+// What is measured over whole sets, and how sure a difference is.
+#include "model/evaluation.h"
+
+#include <cmath>
+#include <gtest/gtest.h>
+
+namespace lcdm::model {
+namespace {
+
+SetResult result_of(const std::vector<double>& abs_rel) {
+  SetResult result;
+  for (std::size_t i = 0; i < abs_rel.size(); ++i) {
+    FrameResult frame;
+    frame.name = std::to_string(i);
+    frame.metrics.abs_rel = abs_rel[i];
+    result.frames.push_back(frame);
+  }
+  return result;
+}
+
+TEST(PairedDifference, OfAConstantDifferenceHasNoSpread) {
+  const Difference d =
+      paired_difference(result_of({0.3, 0.5, 0.9}), result_of({0.2, 0.4, 0.8}), &Metrics::abs_rel);
+  EXPECT_EQ(d.frames, 3U);
+  EXPECT_NEAR(d.mean, 0.1, 1e-12);
+  EXPECT_NEAR(d.low, 0.1, 1e-12);
+  EXPECT_NEAR(d.high, 0.1, 1e-12);
+}
+
+// Differences of +1 and -1 by turns: the mean of 400 of them has a deviation of 1/20, and 95 % of
+// its draws lie within 1.96 of that.
+TEST(PairedDifference, HasTheIntervalOfTheNormalLaw) {
+  std::vector<double> a;
+  for (int i = 0; i < 400; ++i) a.push_back(i % 2 == 0 ? 1 : -1);
+  const Difference d =
+      paired_difference(result_of(a), result_of(std::vector<double>(400, 0)), &Metrics::abs_rel);
+  EXPECT_NEAR(d.mean, 0, 1e-12);
+  EXPECT_NEAR(d.low, -1.96 / 20, 0.01);
+  EXPECT_NEAR(d.high, 1.96 / 20, 0.01);
+}
+
+TEST(PairedDifference, ComparesOnlyFramesThatBothHave) {
+  SetResult a = result_of({0.5, 0.5});
+  SetResult b = result_of({0.1, 0.4});
+  b.frames[0].name = "another";
+  const Difference d = paired_difference(a, b, &Metrics::abs_rel);
+  EXPECT_EQ(d.frames, 1U);
+  EXPECT_NEAR(d.mean, 0.1, 1e-12);
+}
+
+// A step edge blurred along x becomes a ramp of the stated length.
+TEST(MotionBlur, HasTheStatedLength) {
+  cv::Mat rgb(20, 640, CV_8UC3, cv::Scalar::all(0));
+  rgb.colRange(320, 640).setTo(cv::Scalar::all(250));
+  const cv::Mat blurred = motion_blurred(rgb, 20, 0);
+  int between = 0;
+  for (int x = 0; x < 640; ++x) {
+    const int value = blurred.at<cv::Vec3b>(10, x)[0];
+    if (value > 0 && value < 250) ++between;
+  }
+  EXPECT_NEAR(between, 20, 1);
+  EXPECT_NEAR(blurred.at<cv::Vec3b>(10, 320)[1], 125, 10);
+}
+
+TEST(MotionBlur, LeavesAFlatPictureAlone) {
+  const cv::Mat rgb(30, 64, CV_8UC3, cv::Scalar(10, 200, 90));
+  for (const std::size_t index : {0U, 1U, 2U}) {
+    EXPECT_LE(cv::norm(motion_blurred(rgb, 60, index), rgb, cv::NORM_INF), 1);
+  }
+}
+
+TEST(Evaluate, CountsFramesWithoutAnEstimate) {
+  std::vector<PackFrame> frames(3);
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    frames[i] = {std::to_string(i), cv::Mat(8, 8, CV_8UC3), cv::Mat(8, 8, CV_32F, cv::Scalar(2)),
+                 CameraModel::from_field_of_view(8, 8, 60)};
+  }
+  frames[1].depth.setTo(0);  // no ground truth
+  const MemoryFrames set(frames, false);
+  const SetResult result = evaluate(
+      set, {0, 1, 2}, *protocol_named("indoor"),
+      [](const PackFrame& frame) { return frame.name == "2" ? cv::Mat() : frame.depth.clone(); });
+  EXPECT_EQ(result.missing, 2U);
+  ASSERT_EQ(result.frames.size(), 1U);
+  EXPECT_EQ(result.frames[0].name, "0");
+}
+
+// Metres come back: canonical depth times the focal length at the input over the canonical one.
+TEST(NetworkEstimator, GivesMetres) {
+  ModelConfig config;
+  config.encoder = EncoderKind::kXxs;
+  config.canonical_focal = 320;
+  DepthNetwork network(config);
+  network->eval();
+  PackFrame frame;
+  frame.rgb = cv::Mat(192, 640, CV_8UC3, cv::Scalar::all(100));
+  frame.camera = CameraModel{640, 192, 320, 320, 319.5F, 95.5F, true};
+  const Estimator estimator = network_estimator(network, 0, 0.25);
+  const cv::Mat canonical = estimator(frame);
+  frame.camera.fx = 640;
+  EXPECT_NEAR(cv::norm(estimator(frame), 2 * canonical, cv::NORM_INF), 0, 1e-4);
+}
+
+}  // namespace
+}  // namespace lcdm::model

@@ -1,0 +1,116 @@
+// Training in several processes, with the real program and LibTorch's own collectives.
+#include "model/processes.h"
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <gtest/gtest.h>
+
+#include "firmware/base/os.h"
+#include "model/csv.h"
+#include "model/safetensors.h"
+#include "tests/app/program.h"
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+
+class ProcessesTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = fs::temp_directory_path() / ("lcdm_processes_" + std::to_string(os::monotonic_ns()));
+    fs::create_directories(folder_);
+    std::ofstream(catalogue()) << "[scene]\nframes = 8\n";
+  }
+  void TearDown() override {
+    unsetenv("WORLD_SIZE");
+    fs::remove_all(folder_);
+  }
+
+  std::string catalogue() const { return (folder_ / "scene.toml").string(); }
+  std::vector<std::string> arguments(const std::string& output, const char* workers,
+                                     const char* stage,
+                                     const std::vector<std::string>& more) const {
+    std::vector<std::string> all = {
+        "train",  "--data",      catalogue(), "--encoder", "xxs",
+        "--seed", "4",           "--stage",   stage,       "--workers",
+        workers,  "--head-from", "0",         "--output",  (folder_ / output).string()};
+    all.insert(all.end(), more.begin(), more.end());
+    return all;
+  }
+  void train_alone(const std::string& output, const std::vector<std::string>& more) const {
+    test::Program program(LCDM_TRAIN_PROGRAM, arguments(output, "2", "0.25:4:1", more));
+    ASSERT_EQ(program.wait(300), 0) << program.text();
+  }
+  void train_both(const std::string& output, const std::vector<std::string>& more) const {
+    const std::string port = std::to_string(20000 + os::monotonic_ns() / 1000 % 20000);
+    const auto environment = [&port](const char* rank) -> std::vector<std::string> {
+      return {"WORLD_SIZE=2", "MASTER_ADDR=127.0.0.1", "MASTER_PORT=" + port, rank};
+    };
+    const std::vector<std::string> each = arguments(output, "1", "0.25:2:1", more);
+    test::Program first(LCDM_TRAIN_PROGRAM, each, environment("RANK=0"));
+    test::Program second(LCDM_TRAIN_PROGRAM, each, environment("RANK=1"));
+    ASSERT_EQ(first.wait(300), 0) << first.text();
+    ASSERT_EQ(second.wait(300), 0) << second.text();
+  }
+  Result<TensorFile> weights_of(const std::string& output) const {
+    return read_tensors((folder_ / output / "checkpoint.safetensors").string());
+  }
+  // Mean distillation loss of all steps.
+  double loss_of(const std::string& output) const {
+    const auto curve = read_csv((folder_ / output / "curve.csv").string());
+    EXPECT_TRUE(curve) << curve.status().text();
+    return curve->numbers("distillation")->back();
+  }
+
+  fs::path folder_;
+};
+
+// Two processes with a worker and 2 pictures each are one with two workers and 4 pictures.
+TEST_F(ProcessesTest, TwoHaveTheLossesOfOneWithTheDoubledBatch) {
+  train_alone("alone", {"--steps", "6"});
+  train_both("both", {"--steps", "6"});
+  const double expected = loss_of("alone");
+  EXPECT_NEAR(loss_of("both"), expected, 1e-4 * expected);
+}
+
+// AdamW's first step moves every weight by the learning rate in its gradient's direction: the
+// directions agree but for gradients that are nothing but rounding.
+TEST_F(ProcessesTest, TwoAddUpTheirGradients) {
+  const std::vector<std::string> one_step = {"--steps", "1", "--warm-up", "1"};
+  train_alone("alone", one_step);
+  train_both("both", one_step);
+  const auto a = weights_of("alone");
+  const auto b = weights_of("both");
+  ASSERT_TRUE(a && b);
+  std::int64_t all = 0;
+  std::int64_t apart = 0;
+  for (const auto& [name, tensor] : a->tensors) {
+    if (name.rfind("network.", 0) != 0 || name.find("running") != std::string::npos) continue;
+    if (!tensor.is_floating_point()) continue;
+    all += tensor.numel();
+    apart += ((tensor - b->tensors.at(name)).abs() > 1e-4).sum().item<std::int64_t>();
+  }
+  EXPECT_GT(all, 1000000);
+  EXPECT_LT(static_cast<double>(apart), 1e-3 * static_cast<double>(all));
+}
+
+TEST_F(ProcessesTest, WrongEnvironmentIsNamed) {
+  setenv("WORLD_SIZE", "two", 1);
+  const auto processes = Processes::join(torch::kCPU);
+  ASSERT_EQ(processes.code(), StatusCode::kInvalidInput);
+  EXPECT_NE(std::string(processes.status().text()).find("WORLD_SIZE is \"two\""),
+            std::string::npos);
+}
+
+TEST_F(ProcessesTest, WithoutAnEnvironmentThereIsOne) {
+  const auto processes = Processes::join(torch::kCPU);
+  ASSERT_TRUE(processes) << processes.status().text();
+  EXPECT_EQ((*processes)->size(), 1);
+  EXPECT_TRUE((*processes)->any(true));
+  EXPECT_FALSE((*processes)->any(false));
+}
+
+}  // namespace
+}  // namespace lcdm::model
