@@ -9,6 +9,9 @@
 namespace lcdm::model {
 
 void add_train(CLI::App& app, Status& status);
+void add_teach(CLI::App& app, Status& status);
+void add_ablate(CLI::App& app, Status& status);
+void add_report(CLI::App& app, Status& status);
 void add_evaluate(CLI::App& app, Status& status);
 void add_compare(CLI::App& app, Status& status);
 void add_export(CLI::App& app, Status& status);

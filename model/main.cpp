@@ -50,7 +50,10 @@ int main(int argc, char** argv) {
     cv::setNumThreads(1);
   });
   lcdm::model::add_train(app, status);
+  lcdm::model::add_teach(app, status);
+  lcdm::model::add_ablate(app, status);
   lcdm::model::add_evaluate(app, status);
+  lcdm::model::add_report(app, status);
   lcdm::model::add_export(app, status);
   lcdm::model::add_compare(app, status);
   lcdm::model::add_golden(app, status);

@@ -137,7 +137,9 @@ TransformerImpl::TransformerImpl(int dim) {
   mlp = register_module("mlp", FeedForward(dim));
 }
 
-torch::Tensor TransformerImpl::forward(const torch::Tensor& x) {
+// The sum and the norms stay in float, also under Autocast.
+torch::Tensor TransformerImpl::forward(const torch::Tensor& tokens) {
+  const torch::Tensor x = tokens.to(torch::kFloat32);
   const torch::Tensor y = x + attn->forward(norm1->forward(x));
   return y + mlp->forward(norm2->forward(y));
 }
@@ -179,7 +181,7 @@ torch::Tensor MobileVitBlockImpl::forward(const torch::Tensor& x) {
   if (odd) y = resize_bilinear(y, even_height, even_width);
   torch::Tensor tokens = unfold_patches(y);
   for (const auto& block : *transformer) tokens = block->as<Transformer>()->forward(tokens);
-  y = fold_patches(norm->forward(tokens), x.size(0), even_height, even_width);
+  y = fold_patches(norm->forward(tokens.to(torch::kFloat32)), x.size(0), even_height, even_width);
   if (odd) y = resize_bilinear(y, height, width);
   y = conv_proj->forward(y.contiguous(torch::MemoryFormat::ChannelsLast));
   return conv_fusion->forward(torch::cat({x, y}, 1));

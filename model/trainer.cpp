@@ -140,6 +140,15 @@ Compute one_cpu() {
 
 Result<std::unique_ptr<Trainer>> Trainer::make(const Recipe& recipe, const std::vector<Pack>& packs,
                                                const Compute& compute) {
+  for (const Stage& stage : recipe.stages) {
+    if (recipe.losses.photometric > 0 &&
+        stage.images < 2 * std::min(recipe.workers, stage.images)) {
+      return Status::error(StatusCode::kInvalidInput,
+                           "the pose network's batch norm needs two pictures for each of the %d "
+                           "workers: give more pictures to a batch, or fewer workers",
+                           recipe.workers);
+    }
+  }
   ModelConfig config = make_model_config(recipe);
   if (recipe.preset == PresetKind::kLcdm) {
     LCDM_RETURN_IF_ERROR(measure_variable(config, recipe, packs));

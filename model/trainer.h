@@ -63,7 +63,7 @@ inline constexpr int kDeployed[2][2] = {{640, 192}, {384, 288}};
 class Trainer {
  public:
   // Measures the variable's mean and deviation on `packs`, which must outlive the trainer. Errors
-  // as make_batch.
+  // as make_batch; kInvalidInput: the recipe contradicts itself.
   static Result<std::unique_ptr<Trainer>> make(const Recipe& recipe, const std::vector<Pack>& packs,
                                                const Compute& compute);
 

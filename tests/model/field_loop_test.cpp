@@ -68,6 +68,13 @@ TEST_F(FieldLoopTest, ADriveIsRecordedReplayedTrainedOnAndExported) {
   const auto tuned = ModelFile::load(path("tuned.safetensors"));
   ASSERT_TRUE(tuned) << tuned.status().text();
   EXPECT_EQ(tuned->config().name, "field loop");
+
+  // It teaches in turn, and is compared on a page.
+  run(LCDM_TRAIN_PROGRAM, {"teach", "--pack", path("pack"), "--model", path("tuned.safetensors")});
+  EXPECT_EQ(files_in(folder_ / "pack" / "teacher"), pictures);
+  run(LCDM_TRAIN_PROGRAM, {"report", "--pack", path("pack"), "--model", path("tuned.safetensors"),
+                           "--curve", path("training/curve.csv"), "--output", path("page.html")});
+  EXPECT_GT(fs::file_size(path("page.html")), 5000U);
 }
 
 }  // namespace

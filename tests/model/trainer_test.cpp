@@ -93,12 +93,55 @@ TEST(Trainer, TakesEveryLossOfThePaper) {
   recipe.losses.normals = 1;
   recipe.losses.photometric = 1;
   recipe.losses.smoothness = 1e-3;
+  EXPECT_EQ(Trainer::make(recipe, packs, one_cpu()).code(), StatusCode::kInvalidInput)
+      << "a worker's part of one picture has no batch statistics";
+  recipe.workers = 1;
   const auto trainer = trainer_of(recipe, packs);
   const Result<Losses> losses = trainer->advance();
   ASSERT_TRUE(losses) << losses.status().text();
   for (std::size_t i = 0; i < kTermNames.size(); ++i) {
     EXPECT_GT(losses->terms[i], 0) << kTermNames[i];
   }
+}
+
+TEST(Stages, AreReadAndRefused) {
+  const Result<Stage> stage = parse_stage("0.5:8:0.75");
+  ASSERT_TRUE(stage);
+  EXPECT_EQ(stage->share, 0.5);
+  EXPECT_EQ(stage->images, 8);
+  EXPECT_EQ(stage->until, 0.75);
+  for (const char* text : {"", "0.5:8", "0.5:8:0.75:1", "0:8:1", "0.5:0:1", "0.5:8:2", "a:b:c"}) {
+    EXPECT_EQ(parse_stage(text).code(), StatusCode::kInvalidInput) << text;
+  }
+}
+
+// Two stages of two steps: pictures of each batch are counted, and the size follows.
+TEST(Trainer, GoesThroughItsStagesAndAccumulates) {
+  Recipe recipe = small_recipe();
+  recipe.steps = 4;
+  recipe.stages = {{0.2, 4, 0.5}, {0.3, 2, 1}};
+  recipe.head_from = 1;
+  recipe.accumulate = 2;
+  const auto trainer = trainer_of(recipe);
+  EXPECT_EQ(trainer->share(), 0.2);
+  for (int i = 0; i < 4; ++i) ASSERT_TRUE(trainer->advance());
+  EXPECT_EQ(trainer->share(), 0.3);
+  EXPECT_EQ(trainer->images(), 2 * 2 * 4 + 2 * 2 * 2);
+}
+
+// bfloat16 in encoder and decoder: the loss stays close to float's, weights stay float.
+TEST(Trainer, TrainsInMixedPrecision) {
+  Recipe recipe = small_recipe();
+  recipe.workers = 1;
+  const Result<Losses> exact = trainer_of(recipe)->advance();
+  recipe.bf16 = true;
+  const auto mixed = trainer_of(recipe);
+  const Result<Losses> losses = mixed->advance();
+  ASSERT_TRUE(losses) << losses.status().text();
+  const double expected = (*exact)[Term::kDistillation];
+  EXPECT_NE((*losses)[Term::kDistillation], expected);
+  EXPECT_NEAR((*losses)[Term::kDistillation], expected, 0.05 * expected);
+  EXPECT_EQ(mixed->averaged()->direct->weight.scalar_type(), torch::kFloat32);
 }
 
 TEST(Trainer, RefusesACheckpointOfAnotherNetwork) {

@@ -1,0 +1,37 @@
+// The paper's ablations on the data at hand: its loss rows (table 7), its sampling steps (table 8)
+// and the weight of the normal distillation (table 9).
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "firmware/base/status.h"
+#include "model/catalogue.h"
+#include "model/trainer.h"
+
+namespace lcdm::model {
+
+struct AblationOptions {
+  std::string folder = "build/ablation";
+  std::vector<std::string> tables = {"losses", "steps", "normals"};
+  int seeds = 1;
+};
+
+// One network to train: the recipe with these losses.
+struct AblationRow {
+  std::string table;  // "losses", "steps" or "normals"
+  std::string name;   // as in the paper: "ID1", "lambda5 0.1"
+  LossWeights losses;
+  std::vector<int> steps;  // sampling steps it is measured with
+};
+// The rows of `tables`, on top of the recipe's own weights.
+std::vector<AblationRow> ablation_rows(const LossWeights& losses,
+                                       const std::vector<std::string>& tables);
+
+// Trains each row with each seed in a folder of its own (finished ones are only measured, one that
+// was stopped goes on), then writes ablation.csv and ablation.html: AbsRel and d1 on the validation
+// part of every pack, mean and spread over the seeds. Errors as Trainer::advance.
+Status ablate(const Recipe& recipe, const Data& data, const Compute& compute,
+              const AblationOptions& options);
+
+}  // namespace lcdm::model

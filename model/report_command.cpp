@@ -1,0 +1,278 @@
+// lcdm-train report: models side by side on one page, as the paper's tables have them.
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+
+#include "firmware/nn/engine.h"
+#include "model/catalogue.h"
+#include "model/commands.h"
+#include "model/csv.h"
+#include "model/evaluation.h"
+#include "model/html_page.h"
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::size_t kPictures = 4;  // of each set
+constexpr int kTimedFrames = 30;
+
+struct Options {
+  DataOptions data;
+  std::vector<std::string> models;
+  std::string curve;
+  std::string output = "build/report.html";
+  bool test = false;
+};
+
+// On KITTI's Eigen split at 640x192, from the projects' own pages; to compare with only where the
+// models of this page were measured on that split.
+struct Published {
+  const char* name;
+  double parameters;  // millions
+  double abs_rel;
+  double delta1;
+};
+constexpr Published kPublished[] = {
+    {"Monodepth2-R18", 14.3, .115, .877}, {"R-MSFM6", 3.8, .112, .878},
+    {"Lite-Mono-tiny", 2.2, .110, .880},  {"Lite-Mono", 3.1, .107, .886},
+    {"MViTDepth-small", 2.8, .107, .883}, {"MViTDepth", 6.3, .106, .891},
+    {"Lite-Mono-8M", 8.7, .101, .897},    {"MonoViT", 27, .099, .900},
+};
+
+struct Candidate {
+  std::string name;
+  Estimator estimator;
+  double parameters = 0;  // millions; 0: none
+};
+
+double parameters_of(const ModelFile& file) {
+  const Result<Network> network = Network::build(file.config(), 640, 192);
+  if (!network) return 0;
+  double count = 0;
+  for (const Layer& layer : network->layers()) {
+    for (const Parameter& parameter : layer.parameters) {
+      double size = 1;
+      for (const std::int64_t extent : parameter.shape) size *= static_cast<double>(extent);
+      count += size;
+    }
+  }
+  return count * 1e-6;
+}
+
+// Median milliseconds of the engine on one thread; NaN where it cannot run.
+double milliseconds_of(Engine& engine, int width, int height) {
+  const std::vector<float> image(static_cast<std::size_t>(width * height) * 3, 0.5F);
+  std::vector<double> times;
+  for (int i = 0; i < kTimedFrames; ++i) {
+    const auto begin = std::chrono::steady_clock::now();
+    if (!engine.run_network(image)) return std::nan("");
+    times.push_back(
+        std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin)
+            .count());
+  }
+  std::sort(times.begin(), times.end());
+  return times[times.size() / 2];
+}
+
+// One row: what a model costs at one input size.
+Result<std::vector<std::string>> cost_of(const std::string& name, const ModelFile& file, int width,
+                                         int height) {
+  EngineOptions wanted;
+  wanted.width = width;
+  wanted.height = height;
+  wanted.threads = 1;
+  auto engine = Engine::prepare(file, wanted, {PixelFormat::kRgb24, width, height, width * 3},
+                                CameraModel::from_field_of_view(width, height, 65));
+  if (!engine) return engine.status();
+  const EngineStats stats = (*engine)->stats();
+  return std::vector<std::string>{name,
+                                  std::to_string(width) + "x" + std::to_string(height),
+                                  number_text(parameters_of(file), 3),
+                                  number_text(static_cast<double>(stats.macs) * 1e-9, 3),
+                                  number_text(static_cast<double>(stats.arena_bytes) * 1e-6, 4),
+                                  number_text(milliseconds_of(**engine, width, height), 3)};
+}
+
+Status add_costs(HtmlPage& page, const Options& options) {
+  std::vector<std::vector<std::string>> rows;
+  for (const std::string& path : options.models) {
+    const Result<ModelFile> file = ModelFile::load(path);
+    if (!file) return file.status();
+    for (const cv::Size size : {cv::Size(640, 192), cv::Size(384, 288)}) {
+      const auto row = cost_of(fs::path(path).stem().string(), *file, size.width, size.height);
+      if (!row) return row.status();
+      rows.push_back(*row);
+    }
+  }
+  page.heading("Cost");
+  page.table({"model", "input", "parameters, M", "GMAC", "arena, MB", "engine, ms"}, rows);
+  page.note("The engine on one thread of this machine, median of " + std::to_string(kTimedFrames) +
+            " frames.");
+  return Status::ok();
+}
+
+void add_accuracy(HtmlPage& page, const Pack& pack, const Protocol& protocol,
+                  const std::vector<Candidate>& candidates, Chart& accuracy) {
+  SetResult first;
+  std::vector<std::vector<std::string>> rows;
+  Series series;
+  series.name = pack.use.name;
+  for (const Candidate& candidate : candidates) {
+    const SetResult result = evaluate(*pack.frames, pack.validation, protocol, candidate.estimator);
+    if (result.frames.empty()) continue;
+    const Metrics& m = result.mean;
+    std::vector<std::string> row = {candidate.name, std::to_string(result.frames.size())};
+    for (const double value :
+         {m.abs_rel, m.sq_rel, m.rmse, m.rmse_log, m.delta1, m.delta2, m.delta3}) {
+      row.push_back(number_text(value, 3));
+    }
+    if (first.frames.empty()) {
+      first = result;
+      row.push_back("");
+    } else {
+      const Difference d = paired_difference(result, first, &Metrics::abs_rel);
+      row.push_back(number_text(d.mean, 2) + " [" + number_text(d.low, 2) + ", " +
+                    number_text(d.high, 2) + "]");
+    }
+    rows.push_back(row);
+    if (candidate.parameters == 0) continue;
+    series.x.push_back(candidate.parameters);
+    series.y.push_back(m.delta1);
+    series.labels.push_back(candidate.name);
+  }
+  page.table({pack.use.name, "frames", "AbsRel", "SqRel", "RMSE", "RMSElog", "d1", "d2", "d3",
+              "AbsRel minus the first's [95 %]"},
+             rows);
+  if (!series.x.empty()) accuracy.series.push_back(series);
+}
+
+std::vector<Picture> pictures_of(const Pack& pack, const std::vector<Candidate>& candidates) {
+  std::vector<Picture> pictures;
+  const std::size_t stride = std::max<std::size_t>(1, pack.validation.size() / kPictures);
+  for (std::size_t i = 0; i < pack.validation.size() && pictures.size() < kPictures; i += stride) {
+    const Result<PackFrame> frame = pack.frames->read(pack.validation[i]);
+    if (!frame) continue;
+    std::string caption = pack.use.name + " " + frame->name + ": picture, truth";
+    std::vector<cv::Mat> estimates;
+    for (const Candidate& candidate : candidates) {
+      const cv::Mat estimate = candidate.parameters > 0 ? candidate.estimator(*frame) : cv::Mat();
+      if (estimate.empty()) continue;
+      estimates.push_back(estimate);
+      caption += ", " + candidate.name;
+    }
+    pictures.push_back({comparison_picture(*frame, estimates), caption});
+  }
+  return pictures;
+}
+
+Status add_curve(HtmlPage& page, const std::string& path) {
+  const Result<CsvTable> table = read_csv(path);
+  if (!table) return table.status();
+  const auto steps = table->numbers("step");
+  if (!steps) return steps.status();
+  Chart chart;
+  chart.title = "Training losses";
+  chart.x_label = "step";
+  chart.y_label = "loss";
+  chart.log_y = true;
+  for (const std::string& name : table->header) {
+    if (name == "step" || name == "images" || name == "seconds" || name == "learning_rate") {
+      continue;
+    }
+    const auto values = table->numbers(name);
+    if (!values) return values.status();
+    if (std::any_of(values->begin(), values->end(), [](double v) { return v > 0; })) {
+      chart.series.push_back({name, *steps, *values});
+    }
+  }
+  page.heading("Training");
+  page.line_chart(chart);
+  return Status::ok();
+}
+
+void add_published(Chart& accuracy) {
+  Series series;
+  series.name = "published, KITTI Eigen";
+  for (const Published& p : kPublished) {
+    series.x.push_back(p.parameters);
+    series.y.push_back(p.delta1);
+    series.labels.push_back(p.name);
+  }
+  accuracy.series.push_back(series);
+}
+
+Result<std::vector<Candidate>> candidates_of(const Options& options) {
+  std::vector<Candidate> candidates;
+  for (const std::string& path : options.models) {
+    const Result<Estimator> estimator = file_estimator(path);
+    if (!estimator) return estimator.status();
+    candidates.push_back(
+        {fs::path(path).stem().string(), *estimator, parameters_of(*ModelFile::load(path))});
+  }
+  candidates.push_back({"constant", constant_estimator()});
+  return candidates;
+}
+
+Status run(const Options& options) {
+  const auto candidates = candidates_of(options);
+  if (!candidates) return candidates.status();
+  const Result<Data> data =
+      options.test ? load_test_data(options.data) : load_training_data(options.data);
+  if (!data) return data.status();
+  HtmlPage page("Depth networks compared");
+  LCDM_RETURN_IF_ERROR(add_costs(page, options));
+  page.heading(options.test ? "Accuracy on the test sets" : "Accuracy on the validation parts");
+  page.paragraph("Median-scaled. Intervals by the paired bootstrap over the frames.");
+  Chart accuracy;
+  accuracy.title = "Parameters against d1";
+  accuracy.x_label = "parameters, millions";
+  accuracy.y_label = "d1";
+  accuracy.log_x = true;
+  std::vector<Picture> pictures;
+  for (std::size_t i = 0; i < data->packs.size(); ++i) {
+    const Pack& pack = data->packs[i];
+    if (pack.validation.empty()) continue;
+    std::vector<Candidate> of_pack = *candidates;
+    const fs::path maps = fs::path(data->root) / pack.use.name / pack.use.maps;
+    if (pack.use.teacher == Teacher::kSensor && fs::is_directory(maps)) {
+      of_pack.push_back({"teacher " + pack.use.maps, maps_estimator(maps.string())});
+    }
+    add_accuracy(page, pack, data->protocols[i], of_pack, accuracy);
+    const std::vector<Picture> of_set = pictures_of(pack, *candidates);
+    pictures.insert(pictures.end(), of_set.begin(), of_set.end());
+  }
+  add_published(accuracy);
+  page.scatter_chart(accuracy);
+  page.note(
+      "Points of different sets are not comparable with each other: published figures are of "
+      "KITTI's Eigen split, ours of the sets named.");
+  if (!options.curve.empty()) LCDM_RETURN_IF_ERROR(add_curve(page, options.curve));
+  page.heading("Pictures");
+  page.gallery(pictures);
+  LCDM_RETURN_IF_ERROR(page.write(options.output));
+  std::printf("%s\n", options.output.c_str());
+  return Status::ok();
+}
+
+}  // namespace
+
+void add_report(CLI::App& app, Status& status) {
+  auto* command = app.add_subcommand(
+      "report", "Cost, accuracy and pictures of models side by side, as one HTML page");
+  auto options = std::make_shared<Options>();
+  add_data_options(*command, options->data);
+  command->add_option("--model", options->models, "Exported model file; may be given again")
+      ->check(CLI::ExistingFile)
+      ->required();
+  command->add_option("--curve", options->curve, "curve.csv of a training")
+      ->check(CLI::ExistingFile);
+  command->add_flag("--test", options->test, "The test sets instead of the validation parts");
+  command->add_option("--output", options->output, "The page")->capture_default_str();
+  command->callback([options, &status] { status = run(*options); });
+}
+
+}  // namespace lcdm::model

@@ -1,0 +1,126 @@
+#include <cstdio>
+#include <filesystem>
+#include <opencv2/imgcodecs.hpp>
+
+#include "drivers/codec.h"
+#include "model/catalogue.h"
+#include "model/commands.h"
+#include "model/evaluation.h"
+#include "model/torchscript_teacher.h"
+#include "model/trainer.h"
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr double kUnitsPerMetre = 256;
+
+struct Options {
+  std::string pack;
+  std::string output;
+  std::string model;
+  std::string checkpoint;
+  TorchscriptOptions torchscript;
+  std::vector<int> size = {640, 192};
+};
+
+Status write_map(const fs::path& path, const cv::Mat& metres) {
+  cv::Mat stored;
+  metres.convertTo(stored, CV_16U, kUnitsPerMetre);  // saturates at 255 m
+  std::vector<unsigned char> png;
+  if (!cv::imencode(".png", stored, png)) {
+    return Status::error(StatusCode::kInvalidInput, "%s: no picture to write", path.c_str());
+  }
+  std::error_code error;
+  fs::create_directories(path.parent_path(), error);
+  return write_file(path.string(), std::as_bytes(std::span(png)));
+}
+
+Result<Estimator> teacher_of(const Options& options) {
+  if (!options.model.empty()) return file_estimator(options.model);
+  if (!options.torchscript.file.empty()) {
+    TorchscriptOptions torchscript = options.torchscript;
+    torchscript.input = {options.size[0], options.size[1]};
+    return torchscript_estimator(torchscript);
+  }
+  const Result<DepthNetwork> network = load_checkpoint(options.checkpoint);
+  if (!network) return network.status();
+  auto kept = std::make_shared<DepthNetwork>(*network);
+  const auto steps = static_cast<int>((*kept)->config.steps.size());
+  return Estimator([kept, estimate = network_estimator(*kept, steps)](const PackFrame& frame) {
+    return estimate(frame);
+  });
+}
+
+Status run(const Options& options) {
+  const Result<Estimator> teacher = teacher_of(options);
+  if (!teacher) return teacher.status();
+  const fs::path folder = fs::canonical(options.pack);
+  PackUse use;
+  use.name = folder.filename().string();
+  use.teacher = Teacher::kNone;
+  use.field_of_view = 60;  // where the pack does not know its camera
+  const Result<Pack> pack = load_pack(folder.parent_path(), use, 1 << 14);
+  if (!pack) return pack.status();
+  const fs::path output = options.output.empty() ? folder / "teacher" : fs::path(options.output);
+  std::size_t without = 0;
+  for (std::size_t i = 0; i < pack->frames->size(); ++i) {
+    const Result<PackFrame> frame = pack->frames->read(i);
+    if (!frame) return frame.status();
+    const cv::Mat metres = (*teacher)(*frame);
+    if (metres.empty()) {
+      ++without;
+      continue;
+    }
+    LCDM_RETURN_IF_ERROR(write_map(output / (frame->name + ".png"), metres));
+  }
+  std::printf("%zu maps in %s\n", pack->frames->size() - without, output.c_str());
+  if (without == 0) return Status::ok();
+  return Status::error(StatusCode::kCorrupt, "the teacher gave no depth for %zu of %zu frames",
+                       without, pack->frames->size());
+}
+
+}  // namespace
+
+void add_teach(CLI::App& app, Status& status) {
+  auto* command = app.add_subcommand(
+      "teach", "Writes a teacher's depth maps for a pack, to learn from (teacher = \"maps\")");
+  auto options = std::make_shared<Options>();
+  command->add_option("--pack", options->pack, "Folder of the pack (rgb/, intrinsics.json)")
+      ->check(CLI::ExistingDirectory)
+      ->required();
+  command->add_option("--output", options->output, "Folder of the maps (PACK/teacher)");
+  auto* teacher = command->add_option_group("teacher", "Who teaches; one of them");
+  teacher->add_option("--model", options->model, "A model file exported here")
+      ->check(CLI::ExistingFile);
+  teacher->add_option("--checkpoint", options->checkpoint, "A training checkpoint")
+      ->check(CLI::ExistingFile);
+  teacher->add_option("--torchscript", options->torchscript.file, "A TorchScript module")
+      ->check(CLI::ExistingFile);
+  teacher->require_option(1);
+  command->add_option("--size", options->size, "Width and height the module is fed")
+      ->expected(2)
+      ->check(CLI::Range(32, 4096))
+      ->capture_default_str();
+  const std::map<std::string, TorchscriptOptions::Pixels> pixels = {
+      {"unit", TorchscriptOptions::Pixels::kUnit},
+      {"imagenet", TorchscriptOptions::Pixels::kImagenet}};
+  command
+      ->add_option("--pixels", options->torchscript.pixels,
+                   "How the module's pictures are scaled: unit ([0, 1]) or imagenet (mean and "
+                   "deviation)")
+      ->transform(CLI::CheckedTransformer(pixels));
+  const std::map<std::string, TorchscriptOptions::Gives> gives = {
+      {"depth", TorchscriptOptions::Gives::kDepth},
+      {"inverse", TorchscriptOptions::Gives::kInverse},
+      {"affine", TorchscriptOptions::Gives::kAffineInverse}};
+  command
+      ->add_option("--gives", options->torchscript.gives,
+                   "What the module gives: depth, inverse (of depth), affine (inverse depth of "
+                   "unknown scale and shift; learn with align = \"affine\")")
+      ->transform(CLI::CheckedTransformer(gives));
+  command->callback([options, &status] { status = run(*options); });
+}
+
+}  // namespace lcdm::model

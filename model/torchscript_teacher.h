@@ -1,0 +1,27 @@
+// A teacher from elsewhere: any monocular depth network saved as a TorchScript module.
+#pragma once
+
+#include <opencv2/core.hpp>
+#include <string>
+
+#include "firmware/base/status.h"
+#include "model/evaluation.h"
+
+namespace lcdm::model {
+
+struct TorchscriptOptions {
+  std::string file;
+  cv::Size input;  // what it is fed; multiples of what it needs
+  // How its RGB pictures are scaled: [0, 1], or less ImageNet's mean and by its deviation.
+  enum class Pixels : std::uint8_t { kUnit, kImagenet } pixels = Pixels::kImagenet;
+  // What comes out: metres, inverse metres, or inverse depth of unknown scale and shift, which is
+  // stored spread over 1 to 100 m for training to align (Alignment::kAffine).
+  enum class Gives : std::uint8_t { kDepth, kInverse, kAffineInverse } gives = Gives::kInverse;
+};
+
+// The module takes [1, 3, H, W] and gives [1, 1, h, w] or [1, h, w], alone or first of a tuple or
+// list. An empty estimate where a frame makes it fail. kInvalidInput: no such module; kCorrupt: its
+// answer to an empty picture is no depth.
+Result<Estimator> torchscript_estimator(const TorchscriptOptions& options);
+
+}  // namespace lcdm::model

@@ -1,0 +1,83 @@
+// Teachers that others trained, as TorchScript modules written here.
+#include "model/torchscript_teacher.h"
+
+#include <filesystem>
+#include <gtest/gtest.h>
+#include <torch/script.h>
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+using Gives = TorchscriptOptions::Gives;
+
+class TorchscriptTeacher : public testing::Test {
+ protected:
+  void TearDown() override { fs::remove(path_); }
+
+  // A module with this forward().
+  Result<Estimator> load(const std::string& forward, Gives gives) {
+    torch::jit::Module module("Teacher");
+    module.define(forward);
+    module.save(path_);
+    TorchscriptOptions options;
+    options.file = path_;
+    options.input = {64, 32};
+    options.pixels = TorchscriptOptions::Pixels::kUnit;
+    options.gives = gives;
+    return torchscript_estimator(options);
+  }
+  // Red grows from left to right: 0, then 51, 102, 153, 204, 255 in equal bars.
+  static PackFrame bars() {
+    PackFrame frame;
+    frame.rgb = cv::Mat::zeros(32, 66, CV_8UC3);
+    for (int x = 0; x < 66; ++x) frame.rgb.col(x).setTo(cv::Scalar(51 * (x / 11), 0, 0));
+    return frame;
+  }
+
+  std::string path_ = (fs::path(testing::TempDir()) / "lcdm-teacher.pt").string();
+};
+
+TEST_F(TorchscriptTeacher, GivesItsDepthInMetres) {
+  const auto teacher = load("def forward(self, x):\n  return x[:, 0:1] * 10 + 1\n", Gives::kDepth);
+  ASSERT_TRUE(teacher) << teacher.status().text();
+  const cv::Mat depth = (*teacher)(bars());
+  ASSERT_EQ(depth.size(), cv::Size(64, 32));
+  EXPECT_NEAR(depth.at<float>(16, 2), 1, 1e-4);
+  EXPECT_NEAR(depth.at<float>(16, 61), 11, 1e-4);
+}
+
+TEST_F(TorchscriptTeacher, InverseDepthIsTurnedAround) {
+  const auto teacher =
+      load("def forward(self, x):\n  return (x[:, 0] * 0.5 + 0.5, x)\n", Gives::kInverse);
+  ASSERT_TRUE(teacher) << teacher.status().text();
+  const cv::Mat depth = (*teacher)(bars());
+  EXPECT_NEAR(depth.at<float>(16, 2), 2, 1e-4);
+  EXPECT_NEAR(depth.at<float>(16, 61), 1, 1e-4);
+}
+
+// Whatever its scale and shift, near stays near and a shift and scale of inverse depth brings back.
+TEST_F(TorchscriptTeacher, AffineInverseDepthIsSpreadOverTheRange) {
+  const auto teacher =
+      load("def forward(self, x):\n  return x[:, 0:1] * 400 - 70\n", Gives::kAffineInverse);
+  ASSERT_TRUE(teacher) << teacher.status().text();
+  const cv::Mat depth = (*teacher)(bars());
+  EXPECT_NEAR(depth.at<float>(16, 2), 100, 1e-2);
+  EXPECT_NEAR(depth.at<float>(16, 61), 1, 1e-4);
+  EXPECT_NEAR(1 / depth.at<float>(16, 28), 0.01 + 0.99 * 0.4, 1e-3);  // red 102 of 255
+}
+
+TEST_F(TorchscriptTeacher, WhatIsNoTeacherIsSaidSo) {
+  EXPECT_EQ(load("def forward(self, x):\n  return x.mean()\n", Gives::kDepth).code(),
+            StatusCode::kCorrupt);
+  EXPECT_EQ(load("def forward(self, x):\n  return x[:, 7:9]\n", Gives::kDepth).code(),
+            StatusCode::kCorrupt);
+  TorchscriptOptions options;
+  options.file = path_;
+  options.input = {64, 32};
+  fs::resize_file(path_, 100);
+  EXPECT_EQ(torchscript_estimator(options).code(), StatusCode::kInvalidInput);
+}
+
+}  // namespace
+}  // namespace lcdm::model
