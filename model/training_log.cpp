@@ -1,14 +1,33 @@
 #include "model/training_log.h"
 
+#include <cstdlib>
+#include <fstream>
+#include <string>
 #include <unistd.h>
 
 namespace lcdm::model {
 namespace {
 
-// `fresh` becomes whether the file has just been made.
-std::FILE* open_to_append(const std::filesystem::path& path, bool& fresh) {
-  fresh = !std::filesystem::exists(path);
-  return std::fopen(path.c_str(), "a");
+// The file's lines up to step `last`, whole ones only: a crash may have cut the last line, and what
+// came after the checkpoint is done again. Empty without a file.
+std::string rows_until(const std::filesystem::path& path, std::int64_t last) {
+  std::ifstream file(path);
+  std::string kept;
+  std::string line;
+  while (std::getline(file, line) && !file.eof()) {  // at eof the line has no end
+    const bool header = kept.empty();
+    if (header || std::atoll(line.c_str()) <= last) kept += line + "\n";
+  }
+  return kept;
+}
+
+// Null where it cannot be written: a training goes on without its log.
+std::FILE* open_to_append(const std::filesystem::path& path, std::int64_t last,
+                          const std::string& header) {
+  const std::string rows = rows_until(path, last);
+  std::FILE* file = std::fopen(path.c_str(), "w");
+  if (file != nullptr) std::fputs((rows.empty() ? header + "\n" : rows).c_str(), file);
+  return file;
 }
 
 }  // namespace
@@ -16,15 +35,10 @@ std::FILE* open_to_append(const std::filesystem::path& path, bool& fresh) {
 TrainingLog::TrainingLog(const std::filesystem::path& folder, std::int64_t first,
                          std::int64_t total)
     : terminal_(isatty(STDOUT_FILENO) != 0), first_(first), total_(total) {
-  bool fresh = false;
-  curve_ = open_to_append(folder / "curve.csv", fresh);
-  if (curve_ != nullptr && fresh) {
-    std::fprintf(curve_, "step,images,seconds,learning_rate");
-    for (const char* name : kTermNames) std::fprintf(curve_, ",%s", name);
-    std::fprintf(curve_, "\n");
-  }
-  validation_ = open_to_append(folder / "validation.csv", fresh);
-  if (validation_ != nullptr && fresh) std::fprintf(validation_, "step,set,abs_rel,d1,constant\n");
+  std::string header = "step,images,seconds,learning_rate";
+  for (const char* name : kTermNames) header += std::string(",") + name;
+  curve_ = open_to_append(folder / "curve.csv", first, header);
+  validation_ = open_to_append(folder / "validation.csv", first, "step,set,abs_rel,d1,constant");
 }
 
 TrainingLog::~TrainingLog() {

@@ -19,7 +19,7 @@ class TrainingLog {
  public:
   static constexpr std::int64_t kLines = 25;
 
-  // Appends to the folder's files; `first` and `total` count steps.
+  // Goes on with the folder's files, whose rows past step `first` are dropped; of `total` steps.
   TrainingLog(const std::filesystem::path& folder, std::int64_t first, std::int64_t total);
   ~TrainingLog();
   TrainingLog(const TrainingLog&) = delete;

@@ -5,8 +5,10 @@
 #include <fstream>
 #include <gtest/gtest.h>
 
+#include "model/csv.h"
 #include "model/safetensors.h"
 #include "model/scene_pack.h"
+#include "model/training_log.h"
 
 namespace lcdm::model {
 namespace {
@@ -142,6 +144,20 @@ TEST(Trainer, TrainsInMixedPrecision) {
   EXPECT_NE((*losses)[Term::kDistillation], expected);
   EXPECT_NEAR((*losses)[Term::kDistillation], expected, 0.05 * expected);
   EXPECT_EQ(mixed->averaged()->direct->weight.scalar_type(), torch::kFloat32);
+}
+
+// A crash cut the last line and left rows that will be done again.
+TEST(TrainingLog, GoesOnFromTheStepOfTheCheckpoint) {
+  const fs::path folder = scratch("lcdm-log");
+  fs::create_directories(folder);
+  std::ofstream(folder / "curve.csv") << "step,a\n25,1\n50,2\n75,3\n10";
+  { const TrainingLog log(folder, 50, 100); }
+  const Result<CsvTable> curve = read_csv((folder / "curve.csv").string());
+  ASSERT_TRUE(curve) << curve.status().text();
+  EXPECT_EQ(*curve->numbers("step"), (std::vector<double>{25, 50}));
+  { const TrainingLog log(folder, 0, 100); }
+  EXPECT_TRUE(read_csv((folder / "curve.csv").string())->rows.empty());
+  fs::remove_all(folder);
 }
 
 TEST(Trainer, RefusesACheckpointOfAnotherNetwork) {
