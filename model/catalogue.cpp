@@ -13,9 +13,12 @@ namespace {
 namespace fs = std::filesystem;
 using Form = CatalogueEntry::Form;
 
-constexpr int kTrainingWidth = 640;      // wider pictures are reduced
-constexpr int kTestWidth = 1 << 14;      // that is, never
 constexpr std::size_t kListedLast = 10;  // of a listed set without a split: every 10th validates
+
+enum class Purpose : std::uint8_t { kTrain, kTest };
+
+// Wider pictures are reduced: never for a test.
+int width_for(Purpose purpose) { return purpose == Purpose::kTrain ? 640 : 1 << 14; }
 
 // One table of the file. Every value is asked for once; what is left over is a mistake.
 class Table {
@@ -24,7 +27,7 @@ class Table {
     if (value.is_table()) left_ = value.as_table();
   }
 
-  // Leaves `out` alone where the key is missing. False, with error(), where its type is wrong.
+  // Leaves `out` alone where the key is missing; what is of the wrong type is told by finish().
   void take(const char* key, std::string& out) {
     take_value(key, "a text in quotes", [&out](const toml::value& v) {
       if (v.is_string()) out = v.as_string().str;
@@ -169,11 +172,17 @@ Pack listed_pack(const CatalogueEntry& entry, std::shared_ptr<const Frames> fram
 }
 
 Result<std::shared_ptr<const Frames>> open_kitti(const CatalogueEntry& entry, const fs::path& root,
-                                                 int max_width) {
+                                                 Purpose purpose) {
+  if (entry.use.teacher == Teacher::kSensor && entry.ground_truth.empty()) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "%s: say where depth comes from: ground-truth = \"velodyne\" or a folder, "
+                         "teacher = \"maps\", or teacher = \"none\"",
+                         entry.path.c_str());
+  }
   KittiRawOptions options;
   options.root = (root / entry.path).string();
   options.list = (root / entry.list).string();
-  options.max_width = max_width;
+  options.max_width = width_for(purpose);
   if (entry.use.teacher == Teacher::kMaps) {
     options.depth = KittiRawOptions::Depth::kMaps;
     options.depth_root = (root / entry.use.maps).string();
@@ -186,13 +195,32 @@ Result<std::shared_ptr<const Frames>> open_kitti(const CatalogueEntry& entry, co
   return open_kitti_raw(options);
 }
 
-Result<Pack> open_entry(const CatalogueEntry& entry, const fs::path& root, int max_width,
+Make3dOptions make3d_options(Purpose purpose) {
+  Make3dOptions options;
+  options.max_width = width_for(purpose);
+  options.central = true;
+  return options;
+}
+
+NyuDepthOptions nyu_options(Purpose purpose) {
+  NyuDepthOptions options;
+  options.max_width = width_for(purpose);
+  options.split =
+      purpose == Purpose::kTrain ? NyuDepthOptions::Split::kTrain : NyuDepthOptions::Split::kTest;
+  return options;
+}
+
+Result<Pack> open_entry(const CatalogueEntry& entry, const fs::path& root, Purpose purpose,
                         std::size_t every) {
-  if (entry.form == Form::kPack) return load_pack(root, entry.use, max_width, every);
+  if (entry.form == Form::kPack) {
+    return load_pack(root, entry.use, width_for(purpose), every);
+  }
   const auto frames = [&]() -> Result<std::shared_ptr<const Frames>> {
-    if (entry.form == Form::kNyu) return open_nyu_depth((root / entry.path).string());
-    if (entry.form == Form::kMake3d) return open_make3d((root / entry.path).string());
-    return open_kitti(entry, root, max_width);
+    if (entry.form == Form::kNyu)
+      return open_nyu_depth((root / entry.path).string(), nyu_options(purpose));
+    if (entry.form == Form::kMake3d)
+      return open_make3d((root / entry.path).string(), make3d_options(purpose));
+    return open_kitti(entry, root, purpose);
   }();
   if (!frames) return frames.status();
   return listed_pack(entry, *frames);
@@ -261,7 +289,7 @@ Result<Data> load_training_data(const DataOptions& options) {
   data.licence = catalogue->licence;
   data.root = catalogue->root;
   const auto take = [&](const CatalogueEntry& entry, const fs::path& root) -> Status {
-    Result<Pack> pack = open_entry(entry, root, kTrainingWidth, options.every);
+    Result<Pack> pack = open_entry(entry, root, Purpose::kTrain, options.every);
     if (!pack) return pack.status();
     add(data, std::move(*pack), entry.protocol);
     return Status::ok();
@@ -288,7 +316,7 @@ Result<Data> load_test_data(const DataOptions& options) {
   data.licence = catalogue->licence;
   data.root = catalogue->root;
   for (const CatalogueEntry& entry : catalogue->test) {
-    Result<Pack> pack = open_entry(entry, catalogue->root, kTestWidth, 1);
+    Result<Pack> pack = open_entry(entry, catalogue->root, Purpose::kTest, 1);
     if (!pack) return pack.status();
     pack->train.clear();
     pack->validation.resize(pack->frames->size());

@@ -34,11 +34,13 @@ CameraModel assumed_camera(cv::Size size) {
 
 class Make3dFrames final : public Frames {
  public:
-  Make3dFrames(fs::path pictures, fs::path depths, std::vector<std::string> names, int max_width)
+  Make3dFrames(fs::path pictures, fs::path depths, std::vector<std::string> names,
+               const Make3dOptions& options)
       : pictures_(std::move(pictures)),
         depths_(std::move(depths)),
         names_(std::move(names)),
-        max_width_(max_width) {}
+        max_width_(options.max_width),
+        central_(options.central) {}
 
   std::size_t size() const override { return names_.size(); }
   std::string name(std::size_t index) const override { return names_[index]; }
@@ -55,6 +57,7 @@ class Make3dFrames final : public Frames {
       frame.rgb = dataset::reduced(*rgb, max_width_);
       cv::resize(*grid, frame.depth, frame.rgb.size(), 0, 0, cv::INTER_NEAREST);
       frame.camera = assumed_camera(frame.rgb.size());
+      if (central_) keep_centre(frame);
       return frame;
     });
   }
@@ -66,6 +69,16 @@ class Make3dFrames final : public Frames {
   }
 
  private:
+  // The middle rows, half as many as the picture is wide.
+  static void keep_centre(PackFrame& frame) {
+    const int height = std::min(frame.rgb.rows, std::max(1, frame.rgb.cols / 2));
+    const int top = (frame.rgb.rows - height) / 2;
+    frame.rgb = frame.rgb.rowRange(top, top + height).clone();
+    frame.depth = frame.depth.rowRange(top, top + height).clone();
+    frame.camera.height = height;
+    frame.camera.cy -= static_cast<float>(top);
+  }
+
   static Result<cv::Mat> read_grid(const fs::path& path) {
     const auto file = MatFile::open(path);
     if (!file) return file.status();
@@ -85,6 +98,7 @@ class Make3dFrames final : public Frames {
   fs::path depths_;
   std::vector<std::string> names_;
   int max_width_;
+  bool central_;
 };
 
 Result<std::shared_ptr<const Frames>> open_checked(const fs::path& root,
@@ -111,7 +125,7 @@ Result<std::shared_ptr<const Frames>> open_checked(const fs::path& root,
                          depths.c_str(), pictures.c_str());
   }
   return std::shared_ptr<const Frames>(
-      std::make_shared<Make3dFrames>(pictures, depths, std::move(names), options.max_width));
+      std::make_shared<Make3dFrames>(pictures, depths, std::move(names), options));
 }
 
 }  // namespace

@@ -18,7 +18,7 @@ test=(
   libgtest-dev libgmock-dev libumockdev-dev umockdev clang-format clang-tidy chromium
   fonts-dejavu-core git nodejs npm opencv-doc g++-11
 )
-train=(libtorch-dev libopenblas0-pthread libgloo-dev libmatio-dev libhdf5-dev)
+train=(libtorch-dev libopenblas0-pthread libgloo-dev libmatio-dev libhdf5-dev python3-torch)
 
 usage() { sed -n '2,9s/^# \{0,1\}//p' "$0"; }
 

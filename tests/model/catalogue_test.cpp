@@ -90,6 +90,16 @@ TEST(Catalogues, OfTheProjectAreWellFormed) {
   }
 }
 
+// Without depth nothing would be learnt, and nobody told.
+TEST_F(CatalogueTest, KittiNeedsASourceOfDepth) {
+  std::ofstream(path_) << "[[train]]\nform = \"kitti-raw\"\npath = \"kitti\"\nlist = \"a.txt\"\n";
+  DataOptions options;
+  options.catalogue = path_;
+  const Result<Data> data = load_training_data(options);
+  ASSERT_EQ(data.code(), StatusCode::kInvalidInput);
+  EXPECT_NE(std::string(data.status().text()).find("ground-truth"), std::string::npos);
+}
+
 TEST(Catalogues, LoadTheSceneAlone) {
   const std::string path = (fs::path(testing::TempDir()) / "lcdm-scene.toml").string();
   std::ofstream(path) << "[scene]\nframes = 4\n";

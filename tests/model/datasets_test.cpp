@@ -686,6 +686,22 @@ TEST_F(Make3d, TheScannersGridIsSpreadOverThePicture) {
   }
 }
 
+// 24 x 32: of the rows the middle 12 stay.
+TEST_F(Make3d, TheMiddleIsWhatThePublishedProtocolMeasures) {
+  Make3dOptions options;
+  options.central = true;
+  const FramesResult frames = open_make3d(root_.string(), options);
+  ASSERT_TRUE(frames) << frames.status().text();
+  const Result<PackFrame> frame = (*frames)->read(1);
+  ASSERT_TRUE(frame) << frame.status().text();
+  ASSERT_EQ(frame->rgb.size(), cv::Size(24, 12));
+  ASSERT_EQ(frame->depth.size(), cv::Size(24, 12));
+  EXPECT_FLOAT_EQ(frame->depth.at<float>(0, 0), 1 + 10 / 8);
+  EXPECT_FLOAT_EQ(frame->depth.at<float>(11, 0), 1 + 21 / 8);
+  EXPECT_FLOAT_EQ(frame->camera.cy, 5.5F);
+  EXPECT_EQ(frame->camera.height, 12);
+}
+
 TEST_F(Make3d, GridsOfThePublishedSizeAreRead) {
   const FramesResult frames = open_make3d(root_.string());
   ASSERT_TRUE(frames) << frames.status().text();

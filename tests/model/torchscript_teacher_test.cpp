@@ -5,6 +5,8 @@
 #include <gtest/gtest.h>
 #include <torch/script.h>
 
+#include "tests/app/program.h"
+
 namespace lcdm::model {
 namespace {
 
@@ -77,6 +79,37 @@ TEST_F(TorchscriptTeacher, WhatIsNoTeacherIsSaidSo) {
   options.input = {64, 32};
   fs::resize_file(path_, 100);
   EXPECT_EQ(torchscript_estimator(options).code(), StatusCode::kInvalidInput);
+}
+
+// The published checkpoint's form, converted by our script: disparity 0.5 red + 0.25 of 0.1 to 100
+// m.
+TEST(MonoVit, CheckpointBecomesATeacher) {
+  const char* python = "/usr/bin/python3";
+  if (test::Program(python, {"-c", "import torch"}).wait(60) != 0) {
+    GTEST_SKIP() << "python3-torch is not installed";
+  }
+  const fs::path folder = fs::path(testing::TempDir()) / "lcdm-monovit";
+  fs::create_directories(folder);
+  test::Program weights(python, {"tests/fixtures/monovit/write_weights.py", folder.string()});
+  ASSERT_EQ(weights.wait(60), 0) << weights.text();
+  const std::string module = (folder / "teacher.pt").string();
+  test::Program convert(
+      python, {"model/teachers/monovit_to_torchscript.py", "--repository", "tests/fixtures/monovit",
+               "--weights", folder.string(), "--output", module});
+  ASSERT_EQ(convert.wait(60), 0) << convert.text();
+
+  TorchscriptOptions options;
+  options.file = module;
+  options.input = {64, 32};
+  options.pixels = TorchscriptOptions::Pixels::kUnit;
+  options.gives = Gives::kInverse;
+  const auto teacher = torchscript_estimator(options);
+  ASSERT_TRUE(teacher) << teacher.status().text();
+  PackFrame frame;
+  frame.rgb = cv::Mat(32, 64, CV_8UC3, cv::Scalar(102, 0, 0));  // red 0.4
+  const double inverse = 0.01 + 9.99 * (0.5 * 0.4 + 0.25);
+  EXPECT_NEAR((*teacher)(frame).at<float>(16, 30), 1 / inverse, 1e-5);
+  fs::remove_all(folder);
 }
 
 }  // namespace
