@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 
 namespace lcdm::scene {
 namespace {
@@ -211,7 +212,9 @@ void add_house(Snapshot& out, Random& random, const Place& place, Vec3 half) {
 
 void add_fence(Snapshot& out, const Place& place, float length, const Paint& paint) {
   constexpr float kGap = 2;
-  for (float along = 0; along < length; along += kGap) {
+  const int posts = static_cast<int>(std::ceil(length / kGap));
+  for (int i = 0; i < posts; ++i) {
+    const float along = kGap * static_cast<float>(i);
     out.add(box(place.at(0, 0.45F, along), {0.05F, 0.5F, 0.05F}, place.yaw, paint));
   }
   for (const float up : {0.42F, 0.78F}) {

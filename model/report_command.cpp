@@ -145,7 +145,7 @@ void add_accuracy(HtmlPage& page, const Pack& pack, const Protocol& protocol,
     series.labels.push_back(candidate.name);
   }
   page.table({pack.use.name, "frames", "AbsRel", "SqRel", "RMSE", "RMSElog", "d1", "d2", "d3",
-              "AbsRel minus the first's [95 %]"},
+              "difference [95 %]"},
              rows);
   if (!series.x.empty()) accuracy.series.push_back(series);
 }
@@ -226,7 +226,10 @@ Status run(const Options& options) {
   HtmlPage page("Depth networks compared");
   LCDM_RETURN_IF_ERROR(add_costs(page, options));
   page.heading(options.test ? "Accuracy on the test sets" : "Accuracy on the validation parts");
-  page.paragraph("Median-scaled. Intervals by the paired bootstrap over the frames.");
+  page.paragraph(
+      "Median-scaled. The difference is AbsRel's to the first row, with its interval by the paired "
+      "bootstrap over the "
+      "frames.");
   Chart accuracy;
   accuracy.title = "Parameters against d1";
   accuracy.x_label = "parameters, millions";

@@ -136,8 +136,9 @@ int tiles_of(int tokens) {
 
 void attend_range(const Attention& a, int begin, int end, float* scratch) {
   const int tiles = tiles_of(a.tokens);
-  const int head_channels = a.channels / a.heads;
-  const std::ptrdiff_t token_stride = 3 * static_cast<std::ptrdiff_t>(a.channels);
+  const std::ptrdiff_t channels = a.channels;
+  const std::ptrdiff_t head_channels = a.channels / a.heads;
+  const std::ptrdiff_t token_stride = 3 * channels;
   for (int item = begin; item < end; ++item) {
     const int first = item % tiles * static_cast<int>(kQueries);
     const int head = item / tiles % a.heads;
@@ -145,14 +146,13 @@ void attend_range(const Attention& a, int begin, int end, float* scratch) {
     const std::ptrdiff_t token = static_cast<std::ptrdiff_t>(position) * a.tokens;
     const float* head_qkv = a.qkv + token * token_stride + head * head_channels;
     const QueryTile tile = {head_qkv + first * token_stride,
-                            head_qkv + a.channels,
-                            head_qkv + 2 * a.channels,
+                            head_qkv + channels,
+                            head_qkv + 2 * channels,
                             token_stride,
                             std::min(static_cast<int>(kQueries), a.tokens - first),
                             a.tokens,
-                            head_channels};
-    attend(tile, a.output + (token + first) * a.channels + head * head_channels, a.channels,
-           scratch);
+                            static_cast<int>(head_channels)};
+    attend(tile, a.output + (token + first) * channels + head * head_channels, a.channels, scratch);
   }
 }
 
@@ -174,7 +174,8 @@ int attention_items(const Attention& a) {
 }
 
 std::size_t attention_scratch(const Attention& a) {
-  const auto rows = static_cast<std::size_t>(a.tokens + 2 * (a.channels / a.heads));
+  const std::size_t rows =
+      static_cast<std::size_t>(a.tokens) + 2 * static_cast<std::size_t>(a.channels / a.heads);
   return rows * static_cast<std::size_t>(HWY_DYNAMIC_DISPATCH(query_tile)());
 }
 
