@@ -146,10 +146,19 @@ Status Recorder::prepare_slots(const FrameFormat& format) {
 }
 
 Status Recorder::open_segment() {
-  const std::string path =
-      (fs::path(options_.directory) / segment_name(os::monotonic_ns() + os::unix_offset_ns()))
-          .string();
-  LCDM_RETURN_IF_ERROR(file_.open(path, options_.keep_free_bytes));
+  // A segment filled within a millisecond, or a clock that was set back, meets a name that is
+  // taken: the next free one then.
+  constexpr int kTries = 1000;
+  constexpr std::int64_t kMillisecond = 1'000'000;
+  const std::int64_t now = os::monotonic_ns() + os::unix_offset_ns();
+  std::string path;
+  Status opened;
+  for (int i = 0; i < kTries; ++i) {
+    path = (fs::path(options_.directory) / segment_name(now + i * kMillisecond)).string();
+    opened = file_.open(path, options_.keep_free_bytes);
+    if (opened.sys_errno() != EEXIST) break;
+  }
+  LCDM_RETURN_IF_ERROR(opened);
   channels_ = recorded_channels();
   const std::string_view metadata[] = {"version", "1",        "source",
                                        source_,   "frame_id", wire::kOpticalFrame};
