@@ -9,7 +9,7 @@ namespace lcdm {
 namespace {
 
 // How much of the way to the target one frame goes.
-constexpr float kApproach = 0.1F;
+constexpr float kApproach = 0.25F;  // half a second at 8 frames/s, the least we expect
 // So that a flat wall is not shown as noise in all colours.
 constexpr float kLeastRatio = 1.5F;
 

@@ -65,7 +65,7 @@ export class DepthPainter {
       const at = (part) => sample[Math.floor(part * (sample.length - 1))] / 1000;
       const nearest = Math.max(0.03, at(0.02));
       const farthest = Math.max(at(0.98), nearest * 1.5);
-      const blend = (from, to) => from * (to / from) ** 0.1;
+      const blend = (from, to) => from * (to / from) ** 0.25;
       this.#range = this.#range === null ? { nearest, farthest } : {
         nearest: blend(this.#range.nearest, nearest),
         farthest: blend(this.#range.farthest, farthest),

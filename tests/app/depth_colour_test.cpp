@@ -66,7 +66,7 @@ TEST(DepthRange, MovesSmoothlyTowardsItsTarget) {
   const DepthRange target{2000, 40000};
   const DepthRange step = approach(range, target);
   EXPECT_GT(step.nearest, range.nearest);
-  EXPECT_LT(step.nearest, 1.1F * range.nearest);
+  EXPECT_LT(step.nearest, 1.25F * range.nearest);
   for (int i = 0; i < 200; ++i) range = approach(range, target);
   EXPECT_NEAR(range.nearest, 2000, 1);
   EXPECT_NEAR(range.farthest, 40000, 10);
