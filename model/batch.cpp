@@ -158,17 +158,16 @@ struct Draw {
   AugmentedSample sample;
 };
 Result<Draw> draw_sample(const std::vector<Pack>& packs, const BatchShape& shape,
-                         SampleRandom& random, int& unreadable) {
-  Status last;
+                         SampleRandom& random, Batch& batch) {
   for (int i = 0; i < kDrawsPerSample; ++i) {
     const Pack& pack = draw_pack(packs, shape.wide, random);
     const std::size_t index = pack.train[random.below(pack.train.size())];
     Result<AugmentedSample> sample = augment(pack, index, shape, random);
     if (sample) return Draw{&pack, std::move(*sample)};
-    last = sample.status();
-    ++unreadable;
+    batch.why_unreadable = sample.status();
+    ++batch.unreadable;
   }
-  return last;
+  return batch.why_unreadable;
 }
 
 Target empty_target(const BatchShape& shape) {
@@ -194,7 +193,7 @@ Result<Batch> make_batch(const std::vector<Pack>& packs, const BatchShape& shape
   }
   for (std::int64_t i = 0; i < n; ++i) {
     SampleRandom random(seed, number, static_cast<std::uint64_t>(shape.first + i));
-    const Result<Draw> draw = draw_sample(packs, shape, random, batch.unreadable);
+    const Result<Draw> draw = draw_sample(packs, shape, random, batch);
     if (!draw) return draw.status();
     const PackUse& use = draw->pack->use;
     rgb.push_back(normalised(draw->sample.rgb));
@@ -218,6 +217,7 @@ Batch Batch::map(const std::function<torch::Tensor(const torch::Tensor&)>& chang
   out.target = {of(target.depth), of(target.weight), of(target.sharp), of(target.alignment)};
   out.views = {of(views.here), of(views.earlier), of(views.later), of(views.present)};
   out.unreadable = unreadable;
+  out.why_unreadable = why_unreadable;
   return out;
 }
 

@@ -241,7 +241,11 @@ void add(Data& data, Pack pack, const Protocol& protocol) {
 
 // Packs of the user's own need no catalogue.
 Result<Catalogue> catalogue_for(const DataOptions& options) {
-  if (!options.packs.empty()) return Catalogue();
+  if (!options.packs.empty()) {
+    Catalogue own;
+    own.licence = "that of the trainer's own pictures";
+    return own;
+  }
   Result<Catalogue> catalogue = read_catalogue(options.catalogue);
   if (catalogue && !options.root.empty()) catalogue->root = options.root;
   return catalogue;
@@ -310,6 +314,11 @@ Result<Data> load_training_data(const DataOptions& options) {
 }
 
 Result<Data> load_test_data(const DataOptions& options) {
+  if (!options.packs.empty()) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "--pack has a validation part and no test part: leave --test out, or "
+                         "write a catalogue with [[test]]");
+  }
   const Result<Catalogue> catalogue = catalogue_for(options);
   if (!catalogue) return catalogue.status();
   Data data;

@@ -84,11 +84,7 @@ Status dry_run(const Recipe& recipe, const std::vector<Pack>& packs, const Compu
     hours += steps * *seconds / 3600;
     images += static_cast<std::int64_t>(steps) * batch;
   }
-  ModelConfig config;
-  config.encoder = recipe.encoder;
-  config.preset = recipe.preset;
-  if (recipe.preset == PresetKind::kPaper) config.steps = {75, 0};
-  print_networks(config, recipe);
+  print_networks(model_config_of(recipe), recipe);
   std::printf("memory         %.2f GB at the most so far, the packs included\n", peak_gigabytes());
   std::printf("expected time  %.1f hours for %lld pictures\n", hours,
               static_cast<long long>(images));

@@ -20,9 +20,7 @@ struct Options {
   std::string name;
   std::string card;
   std::optional<StartKind> start;
-  std::string licence =
-      "LicenseRef-research-non-commercial (KITTI CC-BY-NC-SA-3.0; 7-Scenes, CamVid, NYU and "
-      "ScanNet research only)";
+  std::string licence;  // instead of the checkpoint's
 };
 
 // The checkpoint's weights as the device's model file.
@@ -31,7 +29,12 @@ Status write_model(const Options& options) {
   if (!network) return network.status();
   ModelConfig& config = (*network)->config;
   config.name = options.name;
-  config.licence = options.licence;
+  if (!options.licence.empty()) config.licence = options.licence;
+  if (config.licence.empty()) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "the checkpoint does not say what its data asks of the weights: give "
+                         "--licence");
+  }
   config.card = options.card;
   config.start = options.start.value_or(config.start);
   LCDM_RETURN_IF_ERROR(export_network(*network, options.output));
@@ -79,8 +82,8 @@ void add_export(CLI::App& app, Status& status) {
       ->capture_default_str();
   command->add_option("--name", options->name, "Name in the file");
   command->add_option("--card", options->card, "One paragraph: data, steps, metrics");
-  command->add_option("--licence", options->licence, "That follows from the data")
-      ->capture_default_str();
+  command->add_option("--licence", options->licence,
+                      "That follows from the data, instead of the catalogue's it was trained on");
   const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
                                                    {"zeros", StartKind::kZeros}};
   command

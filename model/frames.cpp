@@ -2,11 +2,15 @@
 
 namespace lcdm::model {
 
+bool amid_a_sequence(const Frames& frames, std::size_t index) {
+  if (index == 0 || index + 1 >= frames.size()) return false;
+  const std::string sequence = sequence_of(frames.name(index));
+  return sequence_of(frames.name(index - 1)) == sequence &&
+         sequence_of(frames.name(index + 1)) == sequence;
+}
+
 bool MemoryFrames::has_neighbours(std::size_t index) const {
-  if (!video_ || index == 0 || index + 1 >= frames_.size()) return false;
-  const std::string sequence = sequence_of(frames_[index].name);
-  return sequence_of(frames_[index - 1].name) == sequence &&
-         sequence_of(frames_[index + 1].name) == sequence;
+  return video_ && amid_a_sequence(*this, index);
 }
 
 Result<cv::Mat> MemoryFrames::neighbour(std::size_t index, int offset) const {

@@ -57,5 +57,7 @@ class MemoryFrames final : public Frames {
 
 // A frame's sequence: its name up to the first '_'; empty without one.
 std::string sequence_of(const std::string& name);
+// Whether the frames before and after `index` are of its sequence.
+bool amid_a_sequence(const Frames& frames, std::size_t index);
 
 }  // namespace lcdm::model

@@ -183,9 +183,7 @@ class FolderFrames final : public Frames {
   }
 
   bool has_neighbours(std::size_t index) const override {
-    if (!use_.video || index == 0 || index + 1 >= pictures_.size()) return false;
-    const std::string sequence = sequence_of(name(index));
-    return sequence_of(name(index - 1)) == sequence && sequence_of(name(index + 1)) == sequence;
+    return use_.video && amid_a_sequence(*this, index);
   }
 
   Result<cv::Mat> neighbour(std::size_t index, int offset) const override {

@@ -91,8 +91,9 @@ class Run {
       if (is_time(options_.save_every)) LCDM_RETURN_IF_ERROR(trainer_.save(last()));
     }
     if (trainer_.unreadable() > 0) {
-      std::fprintf(stderr, "%lld frames could not be read and were replaced by others\n",
-                   static_cast<long long>(trainer_.unreadable()));
+      std::fprintf(stderr,
+                   "%lld frames could not be read and were replaced by others; the last: %s\n",
+                   static_cast<long long>(trainer_.unreadable()), trainer_.why_unreadable());
     }
     return leads_ ? trainer_.save(last()) : Status::ok();
   }
@@ -108,10 +109,9 @@ class Run {
       return Status::ok();
     }
     return Status::error(StatusCode::kCorrupt,
-                         "%lld of %lld drawn frames cannot be read: mend the data (lcdm-train "
-                         "evaluate names them)",
+                         "%lld of %lld drawn frames cannot be read: mend the data; the last: %s",
                          static_cast<long long>(trainer_.unreadable()),
-                         static_cast<long long>(trainer_.images()));
+                         static_cast<long long>(trainer_.images()), trainer_.why_unreadable());
   }
 
   Status keep_the_best(TrainingLog& log) {
@@ -155,6 +155,7 @@ Status run(const Options& options) {
   } else {
     LCDM_RETURN_IF_ERROR(start_from_others(options, **trainer));
   }
+  (*trainer)->set_licence(data->licence);
   if (leads) {
     const ModelConfig& config = (*trainer)->config();
     std::printf("variable mean %.4f deviation %.4f, from step %lld\nlicence of the weights: %s\n",

@@ -14,19 +14,6 @@ namespace {
 constexpr float kCanonicalFocal = 320;             // pixels, at the deployed sizes
 constexpr std::uint64_t kLossStream = 0x4C4F5353;  // keeps the losses' noise apart from the batches
 
-ModelConfig make_model_config(const Recipe& recipe) {
-  ModelConfig config;
-  config.encoder = recipe.encoder;
-  config.preset = recipe.preset;
-  config.start = recipe.start;
-  config.steps =
-      recipe.preset == PresetKind::kLcdm ? std::vector<int>{149, 74} : std::vector<int>{75, 0};
-  config.seed = 1;
-  config.canonical_focal = kCanonicalFocal;
-  config.trained_sizes = {{kDeployed[0][0], kDeployed[0][1]}, {kDeployed[1][0], kDeployed[1][1]}};
-  return config;
-}
-
 int multiple_of_32(double size) {
   return std::max(64, static_cast<int>(std::lround(size / 32)) * 32);
 }
@@ -117,6 +104,19 @@ bool restore(torch::nn::Module& network, const std::string& prefix,
   return true;
 }
 
+ModelConfig model_config_of(const Recipe& recipe) {
+  ModelConfig config;
+  config.encoder = recipe.encoder;
+  config.preset = recipe.preset;
+  config.start = recipe.start;
+  config.steps =
+      recipe.preset == PresetKind::kLcdm ? std::vector<int>{149, 74} : std::vector<int>{75, 0};
+  config.seed = 1;
+  config.canonical_focal = kCanonicalFocal;
+  config.trained_sizes = {{kDeployed[0][0], kDeployed[0][1]}, {kDeployed[1][0], kDeployed[1][1]}};
+  return config;
+}
+
 Result<Stage> parse_stage(const std::string& text) {
   Stage stage;
   char rest = 0;
@@ -149,7 +149,7 @@ Result<std::unique_ptr<Trainer>> Trainer::make(const Recipe& recipe, const std::
                            recipe.workers);
     }
   }
-  ModelConfig config = make_model_config(recipe);
+  ModelConfig config = model_config_of(recipe);
   if (recipe.preset == PresetKind::kLcdm) {
     LCDM_RETURN_IF_ERROR(measure_variable(config, recipe, packs));
   }
@@ -253,6 +253,10 @@ void Trainer::clear_gradients() {
   };
   clear(networks_);
   for (TrainedNetworks& replica : replicas_) clear(replica);
+}
+
+void Trainer::set_licence(const std::string& licence) {
+  networks_->depth->config.licence = average_->config.licence = licence;
 }
 
 bool Trainer::note_score(double score) {
@@ -397,6 +401,7 @@ Result<Losses> Trainer::advance() {
     const Result<Batch> batch = loader_->next();
     if (!batch) return batch.status();
     unreadable_ += batch->unreadable;
+    if (batch->unreadable > 0) why_unreadable_ = batch->why_unreadable;
     images += batch->rgb.size(0);
     losses.add(run_batch(*batch, k));
   }

@@ -48,6 +48,9 @@ struct Recipe {
   LossWeights losses;
 };
 
+// The network that a recipe trains, before its data is known.
+ModelConfig model_config_of(const Recipe& recipe);
+
 // Where training happens.
 struct Compute {
   torch::Device device = torch::kCPU;
@@ -73,6 +76,7 @@ class Trainer {
   std::int64_t images() const { return images_; }
   // Frames that were drawn here and could not be read.
   std::int64_t unreadable() const { return unreadable_; }
+  const char* why_unreadable() const { return why_unreadable_.text(); }  // the last of them
   // Of all but the head, which has the same curve from where it joins.
   double learning_rate() const;
   // Whether the head is trained by now.
@@ -95,6 +99,8 @@ class Trainer {
   // The averaged weights, in evaluation mode.
   DepthNetwork& averaged() { return average_; }
   const ModelConfig& config() const { return networks_->depth->config; }
+  // What the data asks of the weights; kept in the checkpoint.
+  void set_licence(const std::string& licence);
 
   Status save(const std::string& path) const;
   // kInvalidInput: the checkpoint is of another network. The recipe's steps may differ.
@@ -134,6 +140,7 @@ class Trainer {
   std::int64_t step_ = 0;
   std::int64_t images_ = 0;
   std::int64_t unreadable_ = 0;
+  Status why_unreadable_;
   float best_ = std::numeric_limits<float>::infinity();  // score
   float best_part_ = 0;                                  // the part of the training it is of
 };

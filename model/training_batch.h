@@ -3,6 +3,7 @@
 
 #include <functional>
 
+#include "firmware/base/status.h"
 #include "model/geometry.h"
 #include "model/torch.h"
 
@@ -28,7 +29,8 @@ struct Batch {
   Pinholes cameras;   // of these pictures
   Target target;
   Views views;
-  int unreadable = 0;  // frames that were drawn and could not be read
+  int unreadable = 0;     // frames that were drawn and could not be read
+  Status why_unreadable;  // the last of them
 
   // The samples [first, first + count).
   Batch part(std::int64_t first, std::int64_t count) const;

@@ -100,6 +100,12 @@ TEST_F(CatalogueTest, KittiNeedsASourceOfDepth) {
   EXPECT_NE(std::string(data.status().text()).find("ground-truth"), std::string::npos);
 }
 
+TEST(Catalogues, OwnPacksHaveNoTestPart) {
+  DataOptions options;
+  options.packs = {testing::TempDir()};
+  EXPECT_EQ(load_test_data(options).code(), StatusCode::kInvalidInput);
+}
+
 TEST(Catalogues, LoadTheSceneAlone) {
   const std::string path = (fs::path(testing::TempDir()) / "lcdm-scene.toml").string();
   std::ofstream(path) << "[scene]\nframes = 4\n";

@@ -170,6 +170,8 @@ TEST(Batches, CountAndReplaceFramesThatCannotBeRead) {
   const Result<Batch> batch = make_batch(damaged_packs(false), {96, 64, 80, 16, false}, 1, 5);
   ASSERT_TRUE(batch) << batch.status().text();
   EXPECT_GT(batch->unreadable, 0);
+  EXPECT_NE(std::string(batch->why_unreadable.text()).find(".jpg is not a picture"),
+            std::string::npos);
   EXPECT_TRUE((batch->target.depth > 0).all().item<bool>());
 }
 
