@@ -9,6 +9,7 @@
 #include "model/safetensors.h"
 #include "model/trainer.h"
 #include "model/training_log.h"
+#include "model/unfolder.h"
 #include "model/validation.h"
 
 namespace lcdm::model {
@@ -29,6 +30,7 @@ struct Options {
   std::string output = "build/training";
   bool resume = false;
   bool dry_run = false;
+  std::string from;
   std::string encoder_weights;
   bool encoder_bgr = false;
   std::string pose_weights;
@@ -44,8 +46,25 @@ void print_import(const char* what, const std::string& path, const ImportReport&
   std::printf("\n");
 }
 
-// Weights that others trained, where the options name them.
-Status start_from_others(const Options& options, Trainer& trainer) {
+Status start_from(const std::string& path, const Recipe& recipe, Trainer& trainer) {
+  const Result<bool> checkpoint = is_checkpoint(path);
+  if (!checkpoint) return checkpoint.status();
+  if (!*checkpoint && recipe.freeze_from > 0) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "%s is a model file, whose batch norms have no statistics any more: give "
+                         "--freeze-from 0",
+                         path.c_str());
+  }
+  const auto network = *checkpoint ? load_checkpoint(path) : unfold_model(path);
+  return network ? trainer.start_from(*network) : network.status();
+}
+
+// Weights trained before, or by others, where the options name them.
+Status start_from_trained(const Options& options, const Recipe& recipe, Trainer& trainer) {
+  if (!options.from.empty()) {
+    LCDM_RETURN_IF_ERROR(start_from(options.from, recipe, trainer));
+    std::printf("started from %s\n", options.from.c_str());
+  }
   if (!options.encoder_weights.empty()) {
     const auto file = read_tensors(options.encoder_weights);
     if (!file) return file.status();
@@ -153,7 +172,7 @@ Status run(const Options& options) {
   if (options.resume) {
     LCDM_RETURN_IF_ERROR((*trainer)->resume(training.last()));
   } else {
-    LCDM_RETURN_IF_ERROR(start_from_others(options, **trainer));
+    LCDM_RETURN_IF_ERROR(start_from_trained(options, *recipe, **trainer));
   }
   (*trainer)->set_licence(data->licence);
   if (leads) {
@@ -182,6 +201,11 @@ void add_train(CLI::App& app, Status& status) {
   command->add_flag("--resume", options->resume, "Go on from the folder's last checkpoint");
   command->add_flag("--dry-run", options->dry_run,
                     "Print parameters, MACs, memory and expected time, and stop");
+  command
+      ->add_option(
+          "--from", options->from,
+          "Start the depth network from this checkpoint, or from a model file (--freeze-from 0)")
+      ->check(CLI::ExistingFile);
   command
       ->add_option("--encoder-weights", options->encoder_weights,
                    "Start the encoder from this .safetensors (timm's or ml-cvnets' names)")

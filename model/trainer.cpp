@@ -11,7 +11,6 @@
 namespace lcdm::model {
 namespace {
 
-constexpr float kCanonicalFocal = 320;             // pixels, at the deployed sizes
 constexpr std::uint64_t kLossStream = 0x4C4F5353;  // keeps the losses' noise apart from the batches
 
 int multiple_of_32(double size) {
@@ -104,34 +103,6 @@ bool restore(torch::nn::Module& network, const std::string& prefix,
   return true;
 }
 
-ModelConfig model_config_of(const Recipe& recipe) {
-  ModelConfig config;
-  config.encoder = recipe.encoder;
-  config.preset = recipe.preset;
-  config.start = recipe.start;
-  config.steps =
-      recipe.preset == PresetKind::kLcdm ? std::vector<int>{149, 74} : std::vector<int>{75, 0};
-  config.seed = 1;
-  config.canonical_focal = kCanonicalFocal;
-  config.trained_sizes = {{kDeployed[0][0], kDeployed[0][1]}, {kDeployed[1][0], kDeployed[1][1]}};
-  return config;
-}
-
-Result<Stage> parse_stage(const std::string& text) {
-  Stage stage;
-  char rest = 0;
-  const int fields =
-      std::sscanf(text.c_str(), "%lf:%d:%lf%c", &stage.share, &stage.images, &stage.until, &rest);
-  if (fields != 3 || !(stage.share >= 0.2 && stage.share <= 2) || stage.images < 1 ||
-      !(stage.until > 0 && stage.until <= 1)) {
-    return Status::error(StatusCode::kInvalidInput,
-                         "stage \"%s\" is not SHARE:IMAGES:UNTIL, such as 0.5:8:0.8 (size 0.2 to 2 "
-                         "of the deployed one, until 0 to 1 of the steps)",
-                         text.c_str());
-  }
-  return stage;
-}
-
 Compute one_cpu() {
   Compute compute;
   compute.processes = alone();
@@ -169,20 +140,38 @@ Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs, const Com
   for (int i = 1; i < workers; ++i) replicas_.push_back(make_replica(networks_));
   average_ = DepthNetwork(config);
   average_->to(compute.device);
-  std::map<std::string, torch::Tensor> tensors;
-  collect(*networks_->depth, "", tensors);
-  restore(*average_, "", tensors);
+  spread_weights();
   average_->eval();
   optimizer_ = std::make_unique<AdamW>(*networks_, recipe.weight_decay);
 }
 
-Result<ImportReport> Trainer::start_encoder_from(const TensorFile& file, ChannelOrder order) {
-  auto report = import_mobilevit(file, order, networks_->depth->encoder);
-  if (!report) return report;
+void Trainer::spread_weights() {
   std::map<std::string, torch::Tensor> tensors;
   collect(*networks_->depth, "", tensors);
   restore(*average_, "", tensors);
   for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
+}
+
+Status Trainer::start_from(const DepthNetwork& trained) {
+  ModelConfig& config = networks_->depth->config;
+  if (trained->config.encoder != config.encoder || trained->config.preset != config.preset) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "the weights to start from are of another encoder or preset than the "
+                         "recipe's");
+  }
+  std::map<std::string, torch::Tensor> tensors;
+  collect(*trained, "", tensors);
+  restore(*networks_->depth, "", tensors);
+  config.variable_mean = trained->config.variable_mean;
+  config.variable_std = trained->config.variable_std;
+  average_->config = config;
+  spread_weights();
+  return Status::ok();
+}
+
+Result<ImportReport> Trainer::start_encoder_from(const TensorFile& file, ChannelOrder order) {
+  auto report = import_mobilevit(file, order, networks_->depth->encoder);
+  if (report) spread_weights();
   return report;
 }
 
@@ -192,9 +181,7 @@ Result<ImportReport> Trainer::start_pose_from(const TensorFile& file) {
                          "there is no pose network to start: give --photometric a weight");
   }
   auto report = import_resnet18(file, networks_->pose->encoder);
-  if (report) {
-    for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
-  }
+  if (report) spread_weights();
   return report;
 }
 
@@ -202,32 +189,14 @@ bool Trainer::past(double share) const {
   return static_cast<double>(step_) >= share * static_cast<double>(recipe_.steps);
 }
 
-std::size_t Trainer::stage_index() const {
-  std::size_t index = 0;
-  while (index + 1 < recipe_.stages.size() && past(recipe_.stages[index].until)) ++index;
-  return index;
-}
-
 void Trainer::prepare_loader() {
-  const std::size_t stage = stage_index();
+  const std::size_t stage = stage_at(recipe_, step_);
   if (loader_ != nullptr && stage == loader_stage_) return;
   loader_.reset();
   loader_ = std::make_unique<BatchLoader>(
       packs_, make_shapes(recipe_, recipe_.stages[stage], compute_.processes->rank()), recipe_.seed,
       static_cast<std::uint64_t>(step_ * recipe_.accumulate), compute_.loaders);
   loader_stage_ = stage;
-}
-
-double Trainer::learning_rate() const { return rate_after(0); }
-
-double Trainer::rate_after(double first) const {
-  const auto step = static_cast<double>(step_) - first;
-  const auto warm_up = static_cast<double>(recipe_.warm_up);
-  if (step < warm_up) return recipe_.learning_rate * (step + 1) / warm_up;
-  const double all = static_cast<double>(recipe_.steps) - first - warm_up;
-  const double progress = std::min(1.0, (step - warm_up) / std::max(1.0, all));
-  return recipe_.final_rate +
-         (recipe_.learning_rate - recipe_.final_rate) * 0.5 * (1 + std::cos(M_PI * progress));
 }
 
 // Frozen statistics are the averaged ones: those of the last few mixed batches are too noisy.
@@ -261,7 +230,7 @@ void Trainer::set_licence(const std::string& licence) {
 
 bool Trainer::note_score(double score) {
   // A score with the head, or at another size, is no match for one without.
-  const float part = static_cast<float>(stage_index()) + (has_head() ? 0.5F : 0);
+  const float part = static_cast<float>(stage_at(recipe_, step_)) + (has_head() ? 0.5F : 0);
   if (part == best_part_ && !(static_cast<float>(score) < best_)) return false;
   best_ = static_cast<float>(score);
   best_part_ = part;
@@ -413,10 +382,8 @@ Result<Losses> Trainer::advance() {
                          "step %lld: a gradient is not finite; lower the learning rate",
                          static_cast<long long>(step_));
   }
-  // The head joins late and learns at its own pace: by then the others' rate is nearly at its end.
-  const double head_first = std::ceil(recipe_.head_from * static_cast<double>(recipe_.steps));
   optimizer_->step([&](const std::string& name) {
-    return name.rfind("depth.head.", 0) == 0 ? rate_after(head_first) : learning_rate();
+    return name.rfind("depth.head.", 0) == 0 ? head_rate_at(recipe_, step_) : learning_rate();
   });
   images_ += images * compute_.processes->size();
   ++step_;

@@ -12,44 +12,11 @@
 #include "model/batch.h"
 #include "model/losses.h"
 #include "model/processes.h"
+#include "model/recipe.h"
 #include "model/trained_networks.h"
 #include "model/weight_import.h"
 
 namespace lcdm::model {
-
-// A part of the training: the size of its pictures and how many make a batch.
-struct Stage {
-  double share = 1;  // of the deployed size
-  int images = 4;
-  double until = 1;  // share of the steps at which the next stage begins
-};
-// "SHARE:IMAGES:UNTIL". kInvalidInput: not three numbers in their ranges.
-Result<Stage> parse_stage(const std::string& text);
-
-// Everything that decides the weights besides the data; a file of model/recipes/.
-struct Recipe {
-  EncoderKind encoder = EncoderKind::kXs;
-  PresetKind preset = PresetKind::kLcdm;
-  StartKind start = StartKind::kNoise;
-  std::uint64_t seed = 1;
-  std::int64_t steps = 1000;
-  std::vector<Stage> stages = {{0.5, 8, 0.8}, {1, 4, 1}};  // the last runs to the end
-  double head_from = 0.4;    // share of the steps before which only the 0-step answer is trained
-  double freeze_from = 0.5;  // and after which batch-norm statistics stay as they are
-  int accumulate = 1;        // batches of an optimiser step
-  int workers = 2;           // threads that share a batch; batch norm sees a worker's part only
-  bool bf16 = false;         // encoder and decoder in bfloat16
-  double learning_rate = 1e-3;
-  double final_rate = 5e-6;
-  std::int64_t warm_up = 100;
-  double weight_decay = 1e-2;
-  double clip = 5;
-  double average = 0.998;  // of the exponential moving average of the weights
-  LossWeights losses;
-};
-
-// The network that a recipe trains, before its data is known.
-ModelConfig model_config_of(const Recipe& recipe);
 
 // Where training happens.
 struct Compute {
@@ -59,9 +26,6 @@ struct Compute {
 };
 // This machine's CPU, alone.
 Compute one_cpu();
-
-// The deployed sizes, wide and 4:3 (NETWORK.md).
-inline constexpr int kDeployed[2][2] = {{640, 192}, {384, 288}};
 
 class Trainer {
  public:
@@ -77,21 +41,24 @@ class Trainer {
   // Frames that were drawn here and could not be read.
   std::int64_t unreadable() const { return unreadable_; }
   const char* why_unreadable() const { return why_unreadable_.text(); }  // the last of them
-  // Of all but the head, which has the same curve from where it joins.
-  double learning_rate() const;
+  // Of all but the head.
+  double learning_rate() const { return learning_rate_at(recipe_, step_); }
   // Whether the head is trained by now.
   bool has_head() const { return past(recipe_.head_from); }
   // One optimiser step. kCorrupt where the loss or a gradient is not finite: what and when; the
   // weights are then those before the step.
   Result<Losses> advance();
 
+  // Starts the depth network from weights trained before; before the first step. kInvalidInput:
+  // another encoder or preset.
+  Status start_from(const DepthNetwork& trained);
   // Starts encoder or pose network from others' weights; before the first step. Errors as
   // weight_import.h; kInvalidInput where there is no pose network.
   Result<ImportReport> start_encoder_from(const TensorFile& file, ChannelOrder order);
   Result<ImportReport> start_pose_from(const TensorFile& file);
 
   // Size of the present stage's pictures as a share of the deployed size.
-  double share() const { return recipe_.stages[stage_index()].share; }
+  double share() const { return recipe_.stages[stage_at(recipe_, step_)].share; }
   // Remembers the best validation score (lower is better), over checkpoints too. Whether it is the
   // best so far of the networks with as much of a head and of this size.
   bool note_score(double score);
@@ -111,9 +78,8 @@ class Trainer {
           const ModelConfig& config);
 
   bool past(double share) const;
-  std::size_t stage_index() const;
-  // Warm-up, then a cosine to the end, begun at step `first`.
-  double rate_after(double first) const;
+  // The average and the replicas become what `networks_` is.
+  void spread_weights();
   void prepare_loader();
   void set_modes();
   void clear_gradients();

@@ -60,7 +60,8 @@ TEST_F(FieldLoopTest, ADriveIsRecordedReplayedTrainedOnAndExported) {
 
   run(LCDM_TRAIN_PROGRAM,
       {"train", "--pack", path("pack"), "--scene-frames", "0", "--encoder", "xxs", "--steps", "3",
-       "--stage", "0.3:2:1", "--output", path("training")});
+       "--stage", "0.3:2:1", "--output", path("training"), "--from", path("model.safetensors"),
+       "--freeze-from", "0"});
   run(LCDM_TRAIN_PROGRAM,
       {"export", "--checkpoint", path("training/checkpoint.safetensors"), "--output",
        path("tuned.safetensors"), "--name", "field loop", "--card", "three steps of a test"});

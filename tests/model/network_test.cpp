@@ -8,6 +8,7 @@
 #include "model/depth_code.h"
 #include "model/exporter.h"
 #include "model/folded_net.h"
+#include "model/unfolder.h"
 
 namespace lcdm::model {
 namespace {
@@ -136,6 +137,34 @@ TEST_P(Export, ComputesTheSameDepth) {
   const torch::Tensor theirs = FoldedNet(*file).forward(rgb);
   EXPECT_LT(((mine - theirs) / mine).abs().max().item<float>(), 0.02);  // half precision
   EXPECT_LT(((mine - theirs) / mine).abs().mean().item<float>(), 0.004);
+  std::filesystem::remove(path);
+}
+
+// A model file that was unfolded and folded again is the same file, to rounding.
+TEST_P(Export, IsUndoneForFineTuning) {
+  torch::manual_seed(12);
+  DepthNetwork network(config_of(EncoderKind::kXxs, GetParam()));
+  network->config.variable_mean = 3.25;
+  network->config.licence = "none";
+  shake_norms(network);
+  network->eval();
+  const std::string path =
+      (std::filesystem::path(testing::TempDir()) / "lcdm-unfold-test.safetensors").string();
+  ASSERT_TRUE(export_network(network, path));
+  Result<DepthNetwork> again = unfold_model(path);
+  ASSERT_TRUE(again) << again.status().text();
+  EXPECT_EQ((*again)->config.variable_mean, 3.25);
+  const auto expected = fold_network(network);
+  const auto actual = fold_network(*again);
+  ASSERT_EQ(actual.size(), expected.size());
+  for (const auto& [name, tensor] : expected) {
+    EXPECT_LT((actual.at(name) - tensor).abs().max().item<float>(), 2e-3) << name;
+  }
+  const torch::NoGradGuard no_grad;
+  const torch::Tensor rgb = torch::randn({1, 3, 64, 96});
+  const torch::Tensor before = network->sample(network->condition_of(rgb), 2);
+  const torch::Tensor after = (*again)->sample((*again)->condition_of(rgb), 2);
+  EXPECT_LT((before - after).abs().mean().item<float>(), 0.01);
   std::filesystem::remove(path);
 }
 

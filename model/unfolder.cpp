@@ -1,0 +1,119 @@
+#include "model/unfolder.h"
+
+#include <span>
+
+#include "firmware/nn/model_file.h"
+#include "firmware/nn/network.h"
+#include "model/recipe.h"
+#include "model/safetensors.h"
+
+namespace lcdm::model {
+namespace {
+
+using Tensors = std::map<std::string, torch::Tensor>;
+
+Tensors tensors_of(const ModelFile& file) {
+  Tensors tensors;
+  for (const auto& [name, tensor] : file.tensors()) {
+    torch::Tensor values = torch::empty(tensor.shape, torch::kFloat);
+    file.read(tensor, std::span(values.data_ptr<float>(), tensor.count));
+    tensors[name] = values;
+  }
+  return tensors;
+}
+
+// Multiplies by `scale` and adds `bias`, in evaluation mode.
+void set_norm(torch::nn::BatchNorm2dImpl& bn, const torch::Tensor& scale,
+              const torch::Tensor& bias) {
+  bn.weight.copy_(scale);
+  bn.bias.copy_(bias);
+  bn.running_mean.zero_();
+  bn.running_var.fill_(1 - bn.options.eps());
+}
+
+// Layers that go into the file as they are, below `module` of that name.
+void copy_plain(torch::nn::Module& module, const std::string& prefix, const Tensors& from) {
+  for (auto& item : module.named_parameters()) {
+    const auto found = from.find(prefix + item.key());
+    if (found != from.end()) item.value().copy_(found->second);
+  }
+}
+
+void unfold_encoder(const Tensors& from, MobileVit& encoder) {
+  copy_plain(*encoder, "encoder.", from);
+  for (const auto& item : encoder->named_modules("encoder", false)) {
+    auto* block = item.value()->as<ConvNorm>();
+    if (block == nullptr) continue;
+    const torch::Tensor& bias = from.at(item.key() + ".bias");
+    block->conv->weight.copy_(from.at(item.key() + ".weight"));
+    set_norm(*block->bn, torch::ones_like(bias), bias);
+  }
+}
+
+void unfold_decoder(const Tensors& from, Decoder& decoder) {
+  for (std::size_t i = 0; i < decoder->upconv.size(); ++i) {
+    for (std::size_t j = 0; j < 2; ++j) {
+      copy_plain(*decoder->upconv[i][j],
+                 "decoder.upconv_" + std::to_string(i) + "_" + std::to_string(j) + ".", from);
+    }
+  }
+  copy_plain(*decoder->condition, "decoder.condition.", from);
+}
+
+// The steps share one convolution; what their norms multiplied it by is the ratio of the folded
+// ones, channel for channel.
+void unfold_head(const Tensors& from, DepthNetwork& network) {
+  Head& head = network->head;
+  const std::vector<int>& steps = network->config.steps;
+  const auto of_step = [&](std::size_t k, const char* name) -> const torch::Tensor& {
+    return from.at("head.steps." + std::to_string(k) + name);
+  };
+  head->embed->weight.copy_(from.at("head.embed.weight"));
+  head->embed->bias.zero_();
+  for (int t = 0; t < ModelConfig::kDiffusionSteps; ++t) {
+    const auto nearest = static_cast<std::size_t>(network->step_of(t));
+    head->time_embed[t].copy_(of_step(nearest, ".embed.bias"));
+  }
+  const torch::Tensor shared = of_step(0, ".conv1.weight");
+  head->conv1->weight.copy_(shared);
+  copy_plain(*head->conv2, "head.conv2.", from);
+  if (head->norm.empty()) {
+    head->conv1->bias.copy_(of_step(0, ".conv1.bias"));
+    copy_plain(*head->group_norm, "head.norm.", from);
+    return;
+  }
+  head->conv1->bias.zero_();
+  for (std::size_t k = 0; k < steps.size(); ++k) {
+    const torch::Tensor scale = (of_step(k, ".conv1.weight") * shared).sum({1, 2, 3}) /
+                                shared.square().sum({1, 2, 3}).clamp_min(1e-12);
+    set_norm(*head->norm[k], scale, of_step(k, ".conv1.bias"));
+  }
+}
+
+}  // namespace
+
+Result<DepthNetwork> unfold_model(const std::string& path) {
+  const Result<ModelFile> file = ModelFile::load(path);
+  if (!file) return file.status();
+  const Result<Network> layers = Network::build(file->config(), kDeployed[0][0], kDeployed[0][1]);
+  if (!layers) return layers.status();
+  LCDM_RETURN_IF_ERROR(layers->check_weights(*file));
+  const torch::NoGradGuard no_grad;
+  const Tensors tensors = tensors_of(*file);
+  DepthNetwork network(file->config());
+  unfold_encoder(tensors, network->encoder);
+  unfold_decoder(tensors, network->decoder);
+  unfold_head(tensors, network);
+  network->direct->weight.zero_();
+  network->direct->bias.zero_();
+  network->eval();
+  return network;
+}
+
+Result<bool> is_checkpoint(const std::string& path) {
+  const Result<TensorFile> file = read_tensors(path);
+  if (!file) return file.status();
+  return file->tensors.count("trainer.step") > 0;
+}
+
+}  // namespace lcdm::model
