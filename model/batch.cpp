@@ -1,5 +1,6 @@
 #include "model/batch.h"
 
+#include <algorithm>
 #include <opencv2/imgproc.hpp>
 
 #include "model/depth_code.h"
@@ -170,6 +171,12 @@ Result<Draw> draw_sample(const std::vector<Pack>& packs, const BatchShape& shape
   return batch.why_unreadable;
 }
 
+// Number of the pack among those whose intrinsics are learned; -1: it is none of them.
+std::int64_t learned_camera_of(const std::vector<Pack>& packs, const Pack& pack) {
+  if (!pack.use.learn_intrinsics) return -1;
+  return std::count_if(packs.data(), &pack, [](const Pack& p) { return p.use.learn_intrinsics; });
+}
+
 Target empty_target(const BatchShape& shape) {
   const std::int64_t n = shape.images;
   return {torch::empty({n, 1, shape.height, shape.width}), torch::zeros({n}), torch::zeros({n}),
@@ -187,6 +194,7 @@ Result<Batch> make_batch(const std::vector<Pack>& packs, const BatchShape& shape
   Batch batch;
   Target& target = batch.target;
   target = empty_target(shape);
+  batch.learned_camera = torch::empty({n}, torch::kLong);
   if (shape.views) {
     batch.views = {torch::empty(colours), torch::empty(colours), torch::empty(colours),
                    torch::zeros({n})};
@@ -198,6 +206,7 @@ Result<Batch> make_batch(const std::vector<Pack>& packs, const BatchShape& shape
     const PackUse& use = draw->pack->use;
     rgb.push_back(normalised(draw->sample.rgb));
     cameras.push_back(draw->sample.camera);
+    batch.learned_camera[i] = learned_camera_of(packs, *draw->pack);
     target.depth[i] = planes_of(draw->sample.depth);
     target.weight[i] = use.weight;
     target.sharp[i] = use.teacher == Teacher::kSensor ? 1.0F : 0.0F;
@@ -214,6 +223,7 @@ Batch Batch::map(const std::function<torch::Tensor(const torch::Tensor&)>& chang
   Batch out;
   out.rgb = of(rgb);
   out.cameras = {of(cameras.fx), of(cameras.fy), of(cameras.cx), of(cameras.cy)};
+  out.learned_camera = of(learned_camera);
   out.target = {of(target.depth), of(target.weight), of(target.sharp), of(target.alignment)};
   out.views = {of(views.here), of(views.earlier), of(views.later), of(views.present)};
   out.unreadable = unreadable;

@@ -106,6 +106,7 @@ Result<CatalogueEntry> read_entry(const std::string& file, const toml::value& va
   table.take("maps", use.maps);
   table.take("align", alignments, use.alignment);
   table.take("field-of-view", use.field_of_view);
+  table.take("learn-intrinsics", use.learn_intrinsics);
   table.take("trust", use.weight);
   table.take("wide-share", use.wide_share);
   table.take("tall-share", use.tall_share);

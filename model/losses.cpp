@@ -171,6 +171,11 @@ torch::Tensor normal_loss(const torch::Tensor& depth, const torch::Tensor& targe
 
 namespace {
 
+// A wrong focal length must not be learned to please the normals.
+Pinholes detached(const Pinholes& cameras) {
+  return {cameras.fx.detach(), cameras.fy.detach(), cameras.cx, cameras.cy};
+}
+
 // The losses of one estimate of the batch's depth.
 class DepthLosses {
  public:
@@ -180,6 +185,9 @@ class DepthLosses {
         config_(networks->depth->config),
         batch_(batch),
         weights_(weights),
+        cameras_(networks->cameras.is_empty()
+                     ? batch.cameras
+                     : networks->cameras->forward(batch.cameras, batch.learned_camera)),
         mask_(batch.target.depth > 0),
         log_target_(log_target) {}
 
@@ -200,7 +208,7 @@ class DepthLosses {
     }
     if (weights_.normals > 0) {
       take(Term::kNormals, weights_.normals,
-           normal_loss(log_depth.exp(), log_target_.exp(), mask_, target.weight, batch_.cameras,
+           normal_loss(log_depth.exp(), log_target_.exp(), mask_, target.weight, detached(cameras_),
                        config_.preset));
     }
     if (weights_.smoothness > 0) {
@@ -222,10 +230,10 @@ class DepthLosses {
     };
     const Motion before = networks_->pose->forward(small(views.earlier), small(views.here));
     const Motion after = networks_->pose->forward(small(views.here), small(views.later));
-    const torch::Tensor points = back_project(depth, batch_.cameras);
+    const torch::Tensor points = back_project(depth, cameras_);
     const auto seen = [&](const torch::Tensor& picture, const Motion& motion, bool inverse) {
       const torch::Tensor to = rigid_motion(motion.axis_angle, motion.translation, inverse);
-      return sample_at(picture, project(points, to, batch_.cameras));
+      return sample_at(picture, project(points, to, cameras_));
     };
     return photometric_loss(views.here,
                             {seen(views.earlier, before, true), seen(views.later, after, false)},
@@ -236,6 +244,7 @@ class DepthLosses {
   const ModelConfig& config_;
   const Batch& batch_;
   const LossWeights& weights_;
+  Pinholes cameras_;  // with gradients where they are learned
   torch::Tensor mask_;
   torch::Tensor log_target_;
 };

@@ -114,6 +114,11 @@ class Run {
                    "%lld frames could not be read and were replaced by others; the last: %s\n",
                    static_cast<long long>(trainer_.unreadable()), trainer_.why_unreadable());
     }
+    for (const LearnedFocal& focal : trainer_.learned_focals()) {
+      if (!leads_) break;
+      std::printf("%s: focal lengths fx %.3f, fy %.3f times the assumed ones\n", focal.pack.c_str(),
+                  focal.fx, focal.fy);
+    }
     return leads_ ? trainer_.save(last()) : Status::ok();
   }
 

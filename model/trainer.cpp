@@ -1,5 +1,6 @@
 #include "model/trainer.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <future>
@@ -44,8 +45,14 @@ void use_channels_last(torch::nn::Module& network) {
   }
 }
 
+std::int64_t count_learned_cameras(const std::vector<Pack>& packs) {
+  return std::count_if(packs.begin(), packs.end(),
+                       [](const Pack& pack) { return pack.use.learn_intrinsics; });
+}
+
 TrainedNetworks make_replica(TrainedNetworks& networks) {
-  TrainedNetworks replica(networks->depth->config, !networks->pose.is_empty());
+  TrainedNetworks replica(networks->depth->config, !networks->pose.is_empty(),
+                          networks->cameras.is_empty() ? 0 : networks->cameras->log_focal.size(0));
   const auto weights = networks->named_parameters();
   for (auto& item : replica->named_parameters()) {
     item.value().set_data(weights[item.key()].detach());
@@ -131,7 +138,8 @@ Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs, const Com
                  const ModelConfig& config)
     : recipe_(recipe), packs_(packs), compute_(compute) {
   torch::manual_seed(recipe.seed);
-  networks_ = TrainedNetworks(config, recipe.losses.photometric > 0);
+  const bool with_pose = recipe.losses.photometric > 0;
+  networks_ = TrainedNetworks(config, with_pose, with_pose ? count_learned_cameras(packs) : 0);
   networks_->depth->mixed_precision = recipe.bf16;
   networks_->to(compute.device);
   use_channels_last(*networks_);
@@ -222,6 +230,18 @@ void Trainer::clear_gradients() {
   };
   clear(networks_);
   for (TrainedNetworks& replica : replicas_) clear(replica);
+}
+
+std::vector<LearnedFocal> Trainer::learned_focals() const {
+  std::vector<LearnedFocal> focals;
+  if (networks_->cameras.is_empty()) return focals;
+  const torch::Tensor factors = networks_->cameras->log_focal.detach().exp().cpu();
+  for (const Pack& pack : packs_) {
+    if (!pack.use.learn_intrinsics) continue;
+    const torch::Tensor factor = factors[static_cast<std::int64_t>(focals.size())];
+    focals.push_back({pack.use.name, factor[0].item<double>(), factor[1].item<double>()});
+  }
+  return focals;
 }
 
 void Trainer::set_licence(const std::string& licence) {

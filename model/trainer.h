@@ -27,6 +27,12 @@ struct Compute {
 // This machine's CPU, alone.
 Compute one_cpu();
 
+// What a pack's camera turned out to be.
+struct LearnedFocal {
+  std::string pack;
+  double fx = 1, fy = 1;  // over the assumed ones
+};
+
 class Trainer {
  public:
   // Measures the variable's mean and deviation on `packs`, which must outlive the trainer. Errors
@@ -66,6 +72,8 @@ class Trainer {
   // The averaged weights, in evaluation mode.
   DepthNetwork& averaged() { return average_; }
   const ModelConfig& config() const { return networks_->depth->config; }
+  // By now, of the packs whose intrinsics are learned.
+  std::vector<LearnedFocal> learned_focals() const;
   // What the data asks of the weights; kept in the checkpoint.
   void set_licence(const std::string& licence);
 

@@ -25,8 +25,9 @@ struct Views {
 };
 
 struct Batch {
-  torch::Tensor rgb;  // [B, 3, H, W], normalised, channels-last
-  Pinholes cameras;   // of these pictures
+  torch::Tensor rgb;             // [B, 3, H, W], normalised, channels-last
+  Pinholes cameras;              // of these pictures
+  torch::Tensor learned_camera;  // [B] int64; which LearnedCameras corrects, -1: they are known
   Target target;
   Views views;
   int unreadable = 0;     // frames that were drawn and could not be read

@@ -72,7 +72,7 @@ class SmallPack : public testing::Test {
   }
 
   fs::path root_;
-  PackUse use_{"pack", Teacher::kSensor, 0, 1, 1, 1, false, "maps", Alignment::kNone};
+  PackUse use_{.name = "pack", .wide_share = 1, .tall_share = 1, .maps = "maps"};
 };
 
 TEST_F(SmallPack, IsReadInMetres) {

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "model/geometry.h"
+#include "model/learned_cameras.h"
 #include "model/pose_net.h"
 
 namespace lcdm::model {
@@ -73,19 +74,25 @@ TEST(PoseNet, HasTheSizeOfMonodepth2sAndStartsNearNoMotion) {
   EXPECT_LT(motion.translation.abs().max().item<double>(), 0.05);
 }
 
+constexpr int kWidth = 96;
+constexpr int kHeight = 64;
+
+// Smooth random colours, [1, 3, kHeight, kWidth].
+torch::Tensor textured_wall() {
+  namespace F = torch::nn::functional;
+  return F::interpolate(torch::rand({1, 3, 12, 16}),
+                        F::InterpolateFuncOptions()
+                            .size(std::vector<std::int64_t>{kHeight, kWidth})
+                            .mode(torch::kBicubic)
+                            .align_corners(false));
+}
+
 // Depth alone is free: a textured wall at 4 m seen from .2 m apart. The loss must lead the guess
 // from 6 m to the truth, which is the whole of self-supervision.
 TEST(PhotometricLoss, LeadsDepthToTheTruth) {
-  constexpr int kWidth = 96;
-  constexpr int kHeight = 64;
   torch::manual_seed(4);
   const Pinholes cameras = pinholes_of({{kWidth, kHeight, 80, 80, 47.5F, 31.5F, true}});
-  namespace F = torch::nn::functional;
-  const torch::Tensor source = F::interpolate(torch::rand({1, 3, 12, 16}),
-                                              F::InterpolateFuncOptions()
-                                                  .size(std::vector<std::int64_t>{kHeight, kWidth})
-                                                  .mode(torch::kBicubic)
-                                                  .align_corners(false));
+  const torch::Tensor source = textured_wall();
   const torch::Tensor motion =
       rigid_motion(torch::zeros({1, 3}), torch::tensor({{-0.2F, 0.0F, 0.0F}}));
   const auto view = [&](const torch::Tensor& depth) {
@@ -103,6 +110,38 @@ TEST(PhotometricLoss, LeadsDepthToTheTruth) {
     adam.step();
   }
   EXPECT_NEAR(log_depth.exp().item<double>(), 4, 0.1);
+}
+
+// The focal lengths alone are free: a camera of 80 and 84 px, thought to have 100 and 70, turns by
+// a few degrees before a wall of known depth. A second camera is known and stays what it is.
+TEST(LearnedCameras, AreLedToTheTruthByAKnownTurn) {
+  torch::manual_seed(5);
+  const Pinholes truth = pinholes_of({{kWidth, kHeight, 80, 84, 47.5F, 31.5F, true}});
+  const Pinholes assumed = pinholes_of({{kWidth, kHeight, 100, 70, 47.5F, 31.5F, true}});
+  const torch::Tensor source = textured_wall();
+  const torch::Tensor depth = torch::full({1, 1, kHeight, kWidth}, 4.0F);
+  const torch::Tensor motion =
+      rigid_motion(torch::tensor({{0.04F, 0.06F, 0.0F}}), torch::tensor({{-0.2F, 0.1F, 0.0F}}));
+  const auto view = [&](const Pinholes& cameras) {
+    return sample_at(source, project(back_project(depth, cameras), motion, cameras));
+  };
+  const torch::Tensor target = view(truth);
+  LearnedCameras learned(1);
+  torch::optim::Adam adam(learned->parameters(), torch::optim::AdamOptions(0.01));
+  at::Generator random = generator();
+  const torch::Tensor mine = torch::zeros({1}, torch::kLong);
+  for (int i = 0; i < 200; ++i) {
+    adam.zero_grad();
+    photometric_loss(target, {view(learned->forward(assumed, mine))}, {source}, torch::ones({1}),
+                     random)
+        .backward();
+    adam.step();
+  }
+  const Pinholes found = learned->forward(assumed, mine);
+  EXPECT_NEAR(found.fx.item<double>(), 80, 1.5);
+  EXPECT_NEAR(found.fy.item<double>(), 84, 1.5);
+  const Pinholes known = learned->forward(assumed, torch::full({1}, -1, torch::kLong));
+  EXPECT_EQ(known.fx.item<float>(), 100);
 }
 
 }  // namespace

@@ -90,6 +90,7 @@ TEST(Trainer, TakesEveryLossOfThePaper) {
     frames.back().name = std::to_string(i);
   }
   drive.frames = std::make_shared<MemoryFrames>(frames, true);
+  drive.use.learn_intrinsics = true;
   const std::vector<Pack> packs = {drive};
   Recipe recipe = small_recipe();
   recipe.losses.normals = 1;
@@ -104,6 +105,8 @@ TEST(Trainer, TakesEveryLossOfThePaper) {
   for (std::size_t i = 0; i < kTermNames.size(); ++i) {
     EXPECT_GT(losses->terms[i], 0) << kTermNames[i];
   }
+  ASSERT_EQ(trainer->learned_focals().size(), 1U);
+  EXPECT_NE(trainer->learned_focals()[0].fx, 1) << "the photometric loss moves the focal length";
 }
 
 TEST(Stages, AreReadAndRefused) {
