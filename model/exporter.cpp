@@ -38,17 +38,17 @@ void fold_encoder(const MobileVit& encoder, Tensors& out) {
 
 void fold_head(const Head& head, const ModelConfig& config, Tensors& out) {
   out["head.embed.weight"] = head->embed->weight;
+  out["head.conv1.weight"] = head->conv1->weight;
   for (std::size_t k = 0; k < config.steps.size(); ++k) {
     const std::string step = "head.steps." + std::to_string(k);
     out[step + ".embed.bias"] = head->embed->bias + head->time_embed[config.steps[k]];
-    torch::Tensor weight = head->conv1->weight;
+    torch::Tensor scale = torch::ones_like(head->conv1->bias);
     torch::Tensor bias = head->conv1->bias;
     if (!head->norm.empty()) {
-      const torch::Tensor scale = scale_of(*head->norm[k]);
-      weight = weight * scale.reshape({-1, 1, 1, 1});
+      scale = scale_of(*head->norm[k]);
       bias = (bias - head->norm[k]->running_mean) * scale + head->norm[k]->bias;
     }
-    out[step + ".conv1.weight"] = weight;
+    out[step + ".conv1.scale"] = scale;
     out[step + ".conv1.bias"] = bias;
   }
   if (head->norm.empty()) {

@@ -137,8 +137,11 @@ Tensor FoldedNet::evaluate_head(std::size_t step, const Tensor& condition, const
   const std::string name = "head.steps." + std::to_string(step);
   const Tensor fused =
       condition + torch::conv2d(x, weight("head.embed.weight"), weight(name + ".embed.bias"), 1, 1);
-  Tensor h =
-      torch::conv2d(fused, weight(name + ".conv1.weight"), weight(name + ".conv1.bias"), 1, 1);
+  const auto per_channel = [&](const char* what) {
+    return weight(name + what).reshape({1, -1, 1, 1});
+  };
+  Tensor h = torch::conv2d(fused, weight("head.conv1.weight"), {}, 1, 1);
+  h = h * per_channel(".conv1.scale") + per_channel(".conv1.bias");
   if (paper_) {
     h = torch::group_norm(h, 4, weight("head.norm.weight"), weight("head.norm.bias"), 1e-5);
   }
@@ -149,6 +152,7 @@ Tensor FoldedNet::evaluate_head(std::size_t step, const Tensor& condition, const
 // DDIM as NETWORK.md states it, step by step, without the engine's folded constants.
 Tensor FoldedNet::sample(const Tensor& condition) {
   const std::vector<double> abar = cumulative_alphas(config_.preset);
+  note("head.conv1", torch::conv2d(condition, weight("head.conv1.weight"), {}, 1, 1));
   Tensor x = torch::zeros({1, 1, condition.size(2), condition.size(3)});
   if (config_.start == StartKind::kNoise) {
     fill_gaussian(config_.seed,

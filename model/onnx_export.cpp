@@ -29,6 +29,7 @@ class Exporter {
 
  private:
   std::string emit(const Layer& layer) {
+    if (is_shared_conv1(layer)) return "";  // each step does its own
     switch (layer.kind) {
       case LayerKind::kInput:
         return graph_.input("image", {1, 3, layer.output.height, layer.output.width});
@@ -51,8 +52,8 @@ class Exporter {
         return attention(layer);
       case LayerKind::kStart:
         return start(layer);
-      case LayerKind::kFusedConv:
-        return fused_convolution(layer);
+      case LayerKind::kHeadHidden:
+        return head_hidden(layer);
       case LayerKind::kGroupNorm:
         return group_norm(layer);
       case LayerKind::kUpdate:
@@ -62,6 +63,8 @@ class Exporter {
     }
     LCDM_CHECK(false);
   }
+
+  static bool is_shared_conv1(const Layer& layer) { return layer.name == "head.conv1"; }
 
   const Layer& source(const Layer& layer, std::size_t input) const {
     return network_.layer(layer.inputs[input].layer);
@@ -239,15 +242,21 @@ class Exporter {
     return graph_.constant(layer.name, {1, 1, layer.output.height, layer.output.width}, x);
   }
 
-  // condition + time + embed(x), then conv1; the time is in embed's bias.
-  std::string fused_convolution(const Layer& layer) {
-    const std::string embedded =
-        conv_node(layer.name + ".embedded", {value(layer, 1), weight(layer, 0), weight(layer, 1)},
-                  3, 1, 1, 1);
-    const std::string fused = add(layer.name + ".fused", value(layer, 0), embedded);
-    const std::string y =
-        conv_node(layer.name, {fused, weight(layer, 2), weight(layer, 3)}, 3, 1, 1, 1);
-    return activate(layer.name, y, layer.activation);
+  // conv1(condition + time + embed(x)) as a runtime would be given it: the time in embed's bias,
+  // the scale in conv1's weight, nothing shared between the steps.
+  std::string head_hidden(const Layer& layer) {
+    const std::string& name = layer.name;
+    const Layer& shared = source(layer, 0);
+    const std::string embedded = conv_node(
+        name + ".embedded", {value(layer, 1), weight(layer, 0), weight(layer, 1)}, 3, 1, 1, 1);
+    const std::string fused = add(name + ".fused", value(shared, 0), embedded);
+    std::vector<float> scaled = read(layer.parameters[2]);
+    const std::vector<float> scale = read(layer.parameters[3]);
+    const std::size_t filter = scaled.size() / scale.size();
+    for (std::size_t i = 0; i < scaled.size(); ++i) scaled[i] *= scale[i / filter];
+    const std::string conv1 = graph_.constant(name + ".weight", layer.parameters[2].shape, scaled);
+    const std::string y = conv_node(name, {fused, conv1, weight(layer, 4)}, 3, 1, 1, 1);
+    return activate(name, y, layer.activation);
   }
 
   std::string group_norm(const Layer& layer) {

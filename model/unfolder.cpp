@@ -60,8 +60,6 @@ void unfold_decoder(const Tensors& from, Decoder& decoder) {
   copy_plain(*decoder->condition, "decoder.condition.", from);
 }
 
-// The steps share one convolution; what their norms multiplied it by is the ratio of the folded
-// ones, channel for channel.
 void unfold_head(const Tensors& from, DepthNetwork& network) {
   Head& head = network->head;
   const std::vector<int>& steps = network->config.steps;
@@ -74,8 +72,7 @@ void unfold_head(const Tensors& from, DepthNetwork& network) {
     const auto nearest = static_cast<std::size_t>(network->step_of(t));
     head->time_embed[t].copy_(of_step(nearest, ".embed.bias"));
   }
-  const torch::Tensor shared = of_step(0, ".conv1.weight");
-  head->conv1->weight.copy_(shared);
+  head->conv1->weight.copy_(from.at("head.conv1.weight"));
   copy_plain(*head->conv2, "head.conv2.", from);
   if (head->norm.empty()) {
     head->conv1->bias.copy_(of_step(0, ".conv1.bias"));
@@ -84,9 +81,7 @@ void unfold_head(const Tensors& from, DepthNetwork& network) {
   }
   head->conv1->bias.zero_();
   for (std::size_t k = 0; k < steps.size(); ++k) {
-    const torch::Tensor scale = (of_step(k, ".conv1.weight") * shared).sum({1, 2, 3}) /
-                                shared.square().sum({1, 2, 3}).clamp_min(1e-12);
-    set_norm(*head->norm[k], scale, of_step(k, ".conv1.bias"));
+    set_norm(*head->norm[k], of_step(k, ".conv1.scale"), of_step(k, ".conv1.bias"));
   }
 }
 

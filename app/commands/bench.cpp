@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "app/commands/bench_profile.h"
 #include "app/commands/commands.h"
 #include "app/common_options.h"
 #include "app/exit_code.h"
@@ -26,12 +27,15 @@ struct BenchOptions {
   int threads = 0;
   std::string size;
   bool json = false;
+  bool profile = false;
 };
 
 struct BenchResult {
   std::vector<double> milliseconds;  // sorted
   double allocations_per_frame = 0;
   EngineStats stats;
+  std::unique_ptr<Engine> engine;
+  EngineProfile profile;
 
   double percentile(int p) const {
     return milliseconds[(milliseconds.size() - 1) * static_cast<std::size_t>(p) / 100];
@@ -76,12 +80,13 @@ Result<BenchResult> measure(const ModelFile& model, const EngineOptions& options
   BenchResult result;
   result.milliseconds.reserve(kMostFrames);
   for (int i = 0; i < kWarmUpFrames; ++i) LCDM_RETURN_IF_ERROR((*engine)->run(frame, out));
+  result.profile.layer_ns.resize((*engine)->network().layers().size());
 
   const std::uint64_t allocations = alloc_watch::process_allocations();
   const std::int64_t begin = os::monotonic_ns();
   for (int i = 0; i < kMostFrames; ++i) {
     const std::int64_t before = os::monotonic_ns();
-    LCDM_RETURN_IF_ERROR((*engine)->run(frame, out));
+    LCDM_RETURN_IF_ERROR((*engine)->run_timed(frame, out, result.profile));
     const std::int64_t after = os::monotonic_ns();
     result.milliseconds.push_back(static_cast<double>(after - before) * 1e-6);
     if (i + 1 >= kFewestFrames && after - begin >= kShortestRunNs) break;
@@ -91,6 +96,7 @@ Result<BenchResult> measure(const ModelFile& model, const EngineOptions& options
       static_cast<double>(result.milliseconds.size());
   std::sort(result.milliseconds.begin(), result.milliseconds.end());
   result.stats = (*engine)->stats();
+  result.engine = std::move(*engine);
   return result;
 }
 
@@ -161,6 +167,9 @@ int bench(const BenchOptions& given) {
   const Result<BenchResult> result = measure(*model, options);
   if (!result) return report_unusable(result.status());
   given.json ? print_json(*result) : print_text(*result);
+  if (given.profile) {
+    print_profile(*result->engine, result->profile, static_cast<int>(result->milliseconds.size()));
+  }
   return kExitOk;
 }
 
@@ -176,7 +185,11 @@ void add_bench_command(CLI::App& program, int& exit_code) {
       ->check(CLI::Range(1, EngineOptions::kMaxThreads));
   command->add_option("--size", options->size, "Network input, multiples of 32 (default: 640x192)")
       ->type_name("WxH");
-  command->add_flag("--json", options->json, "Print JSON");
+  auto* json = command->add_flag("--json", options->json, "Print JSON");
+  command
+      ->add_flag("--profile", options->profile,
+                 "Print where the time goes: layer by layer, beside the processor's limit")
+      ->excludes(json);
   options->common.add_to(*command);
   command->callback([options, &exit_code] { exit_code = bench(*options); });
 }

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "firmware/base/check.h"
+#include "firmware/base/os.h"
 #include "firmware/vision/depth_to_millimetres.h"
 
 namespace lcdm {
@@ -87,21 +89,49 @@ Engine::Engine(Network network, Program program, Preprocess preprocess,
       model_hash_(model.hash()),
       pool_(options.threads) {}
 
-Status Engine::run(const FrameView& frame, const DepthBuffer& out) noexcept {
+Status Engine::check_buffers(const FrameView& frame, const DepthBuffer& out) const noexcept {
   LCDM_RETURN_IF_ERROR(preprocess_.check(frame));
   if (out.width != network_.width() || out.height != network_.height() ||
       out.millimetres == nullptr) {
     return Status::error(StatusCode::kInvalidInput, "depth buffer %dx%d: the engine writes %dx%d",
                          out.width, out.height, network_.width(), network_.height());
   }
+  return Status::ok();
+}
+
+void Engine::read_frame(const FrameView& frame) noexcept {
   pool_.run([&](int worker) {
     const Slice rows = slice_of(network_.height(), worker, pool_.workers());
     preprocess_.run_rows(frame, worker, rows.begin, rows.end, program_.input().data());
   });
-  program_.run(pool_);
+}
+
+void Engine::write_depth(const DepthBuffer& out) const noexcept {
   const std::span<const float> metres = program_.depth();
   depth_to_millimetres(metres, {out.millimetres, metres.size()});
   if (out.metres != nullptr) std::copy(metres.begin(), metres.end(), out.metres);
+}
+
+Status Engine::run(const FrameView& frame, const DepthBuffer& out) noexcept {
+  LCDM_RETURN_IF_ERROR(check_buffers(frame, out));
+  read_frame(frame);
+  program_.run(pool_);
+  write_depth(out);
+  return Status::ok();
+}
+
+Status Engine::run_timed(const FrameView& frame, const DepthBuffer& out,
+                         EngineProfile& profile) noexcept {
+  LCDM_RETURN_IF_ERROR(check_buffers(frame, out));
+  LCDM_CHECK(profile.layer_ns.size() == network_.layers().size());
+  const std::int64_t begin = os::monotonic_ns();
+  read_frame(frame);
+  const std::int64_t read = os::monotonic_ns();
+  program_.run_timed(pool_, profile.layer_ns);
+  const std::int64_t computed = os::monotonic_ns();
+  write_depth(out);
+  profile.preprocess_ns += read - begin;
+  profile.output_ns += os::monotonic_ns() - computed;
   return Status::ok();
 }
 

@@ -7,6 +7,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "firmware/base/status.h"
 #include "firmware/buffer/frame.h"
@@ -42,6 +43,13 @@ struct EngineStats {
   std::uint64_t model_hash = 0;
 };
 
+// Where the time of some frames went.
+struct EngineProfile {
+  std::int64_t preprocess_ns = 0;
+  std::vector<std::int64_t> layer_ns;  // one value for each layer of the network; sized by the user
+  std::int64_t output_ns = 0;          // depth to millimetres
+};
+
 struct NetworkSize {
   int width = 0;
   int height = 0;
@@ -66,6 +74,9 @@ class Engine {
   // prepared format, is short, or `out` has another size; `out` is then untouched.
   Status run(const FrameView& frame, const DepthBuffer& out) noexcept;
 
+  // As run, and adds the nanoseconds of its parts to `profile`.
+  Status run_timed(const FrameView& frame, const DepthBuffer& out, EngineProfile& profile) noexcept;
+
   // Intrinsics of the depth image: the camera's, resized to the network's input.
   const CameraModel& depth_camera() const { return depth_camera_; }
   ScaleKind scale() const { return network_.config().scale; }
@@ -82,6 +93,10 @@ class Engine {
   Result<std::span<const float>> tensor(std::string_view name) const;
 
  private:
+  Status check_buffers(const FrameView& frame, const DepthBuffer& out) const noexcept;
+  void read_frame(const FrameView& frame) noexcept;
+  void write_depth(const DepthBuffer& out) const noexcept;
+
   Engine(Network network, Program program, Preprocess preprocess, const EngineOptions& options,
          const CameraModel& depth_camera, const ModelFile& model);
 

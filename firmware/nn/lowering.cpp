@@ -5,6 +5,7 @@
 #include "firmware/nn/kernels/attention.h"
 #include "firmware/nn/kernels/conv.h"
 #include "firmware/nn/kernels/head.h"
+#include "firmware/nn/kernels/inverted_residual.h"
 #include "firmware/nn/kernels/matrix.h"
 #include "firmware/nn/kernels/norm.h"
 #include "firmware/nn/kernels/reshape.h"
@@ -51,16 +52,18 @@ class Lowering {
         steps_(steps) {}
 
   Status lower() {
+    if (!layer_.stored) return Status::ok();  // its reader computes it
     switch (layer_.kind) {
       case LayerKind::kInput:
       case LayerKind::kStart:
         return Status::ok();
       case LayerKind::kConv:
+        if (!network_.layer(source(0).layer).stored) return inverted_residual();
         return layer_.kernel == 1 ? matrix() : conv3x3();
       case LayerKind::kLinear:
         return matrix();
       case LayerKind::kDepthwise:
-        return depthwise();
+        LCDM_CHECK(false);  // only inside an inverted residual
       case LayerKind::kResize:
         return resize();
       case LayerKind::kUnfold:
@@ -70,8 +73,8 @@ class Lowering {
         return layer_norm();
       case LayerKind::kAttention:
         return attention();
-      case LayerKind::kFusedConv:
-        return fused_conv();
+      case LayerKind::kHeadHidden:
+        return head_hidden();
       case LayerKind::kGroupNorm:
         return group_norm();
       case LayerKind::kUpdate:
@@ -100,12 +103,15 @@ class Lowering {
     return Status::ok();
   }
 
-  std::vector<float> load(std::size_t parameter) const {
-    const auto found = model_.tensors().find(layer_.parameters[parameter].name);
+  std::vector<float> load(const Parameter& parameter) const {
+    const auto found = model_.tensors().find(parameter.name);
     LCDM_CHECK(found != model_.tensors().end());  // check_weights has seen it
     std::vector<float> values(found->second.count);
     model_.read(found->second, values);
     return values;
+  }
+  std::vector<float> load(std::size_t parameter) const {
+    return load(layer_.parameters[parameter]);
   }
 
   Status store(std::span<const float> values, const float*& out) {
@@ -117,17 +123,25 @@ class Lowering {
   }
 
   // A parameter as it is in the file.
-  Status store(std::size_t parameter, const float*& out) { return store(load(parameter), out); }
+  Status store(const Parameter& parameter, const float*& out) {
+    return store(load(parameter), out);
+  }
+  Status store(std::size_t parameter, const float*& out) {
+    return store(layer_.parameters[parameter], out);
+  }
 
   // [channels, 1, 3, 3] or [1, channels, 3, 3] in the file becomes [9, channels].
-  Status store_taps(std::size_t parameter, const float*& out) {
+  std::vector<float> load_taps(const Parameter& parameter) const {
     const std::vector<float> values = load(parameter);
     const std::size_t channels = values.size() / 9;
     std::vector<float> taps(values.size());
     for (std::size_t c = 0; c < channels; ++c) {
       for (std::size_t t = 0; t < 9; ++t) taps[t * channels + c] = values[c * 9 + t];
     }
-    return store(taps, out);
+    return taps;
+  }
+  Status store_taps(const Parameter& parameter, const float*& out) {
+    return store(load_taps(parameter), out);
   }
 
   Status pack(int depth, int columns, const std::function<float(int, int)>& weight,
@@ -138,15 +152,26 @@ class Lowering {
     return Status::ok();
   }
 
-  // A 3x3 weight [columns, channels, 3, 3] with its bias, k = tap * channels + c.
-  Status pack3x3(std::size_t weight_parameter, std::size_t bias_parameter, int channels,
-                 kernels::PackedMatrix& out) {
-    const std::vector<float> weight = load(weight_parameter);
+  // A 3x3 weight [columns, channels, 3, 3], without its first `skipped` channels, with its bias;
+  // k = tap * channels + c.
+  Status pack3x3(const std::vector<float>& weight, int channels, int skipped,
+                 const std::vector<float>& bias, kernels::PackedMatrix& out) {
+    const int used = channels - skipped;
     const auto at = [&](int k, int n) {
-      const int filter = n * channels + k % channels;
-      return weight[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(k / channels)];
+      const int filter = n * channels + skipped + k % used;
+      return weight[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(k / used)];
     };
-    return pack(9 * channels, layer_.output.channels, at, load(bias_parameter), out);
+    return pack(9 * used, layer_.output.channels, at, bias, out);
+  }
+
+  // The weight [columns, depth] and, where there is one, the bias of a 1x1 convolution or a linear
+  // layer.
+  Status pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out) {
+    const std::vector<float> weight = load(layer.parameters[0]);
+    const std::vector<float> bias =
+        layer.parameters.size() > 1 ? load(layer.parameters[1]) : std::vector<float>{};
+    const auto at = [&](int k, int n) { return weight[static_cast<std::size_t>(n * depth + k)]; };
+    return pack(depth, layer.output.channels, at, bias, out);
   }
 
   // ---- the layers ----
@@ -160,13 +185,8 @@ class Lowering {
   Status matrix() {
     const int depth = input_shape().channels;
     const int columns = layer_.output.channels;
-    const std::vector<float> weight = load(0);
-    const std::vector<float> bias = layer_.parameters.size() > 1 ? load(1) : std::vector<float>{};
     MatrixArgs args;
-    LCDM_RETURN_IF_ERROR(pack(
-        depth, columns,
-        [&](int k, int n) { return weight[static_cast<std::size_t>(n * depth + k)]; }, bias,
-        args.weights));
+    LCDM_RETURN_IF_ERROR(pack_matrix(layer_, depth, args.weights));
     args.input = {{input()}, 1, depth, depth, layer_.output.height * layer_.output.width};
     args.output = {output_, layer_.residual >= 0 ? data(layer_.residual) : nullptr, columns,
                    layer_.activation};
@@ -193,6 +213,21 @@ class Lowering {
     return args;
   }
 
+  // An input that is doubled bilinearly is the first of its layer.
+  bool is_upsampled() const { return source(0).upsampling == Upsampling::kBilinear; }
+
+  // Its part of the 3x3 weight, one 1x1 convolution for each tap.
+  Status add_upsampled(const std::vector<float>& weight, int channels, kernels::Conv3x3& args) {
+    const Shape& in = input_shape();
+    const int columns = layer_.output.channels;
+    args.upsampled = {input(), in.height, in.width, in.channels, {}};
+    const auto at = [&](int k, int n) {
+      const int filter = n % columns * channels + k;
+      return weight[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(n / columns)];
+    };
+    return pack(in.channels, 9 * columns, at, {}, args.upsampled.taps);
+  }
+
   void add_input(kernels::Conv3x3& args, std::size_t i) const {
     const Shape& in = input_shape(i);
     LCDM_CHECK(static_cast<std::size_t>(args.input_count) < args.inputs.size());
@@ -208,36 +243,42 @@ class Lowering {
 
   Status conv3x3() {
     kernels::Conv3x3 args = conv_args();
-    for (std::size_t i = 0; i < layer_.inputs.size(); ++i) add_input(args, i);
-    LCDM_RETURN_IF_ERROR(pack3x3(0, 1, args.channels, args.weights));
+    const std::vector<float> weight = load(0);
+    const auto channels = static_cast<int>(layer_.parameters[0].shape[1]);
+    std::size_t first = 0;
+    if (is_upsampled()) {
+      LCDM_RETURN_IF_ERROR(add_upsampled(weight, channels, args));
+      first = 1;
+    }
+    for (std::size_t i = first; i < layer_.inputs.size(); ++i) add_input(args, i);
+    const std::vector<float> bias = layer_.parameters.size() > 1 ? load(1) : std::vector<float>{};
+    LCDM_RETURN_IF_ERROR(pack3x3(weight, channels, channels - args.channels, bias, args.weights));
     return add_conv(args);
   }
 
-  Status fused_conv() {
-    kernels::Conv3x3 args = conv_args();
-    add_input(args, 0);
-    args.embedding.state = input(1);
-    LCDM_RETURN_IF_ERROR(store_taps(0, args.embedding.weights));
-    LCDM_RETURN_IF_ERROR(store(1, args.embedding.bias));
-    LCDM_RETURN_IF_ERROR(pack3x3(2, 3, args.channels, args.weights));
-    return add_conv(args);
-  }
-
-  Status depthwise() {
-    const Shape& in = input_shape();
-    kernels::Depthwise3x3 args;
-    args.input = input();
+  // Expand, depthwise, project: layer_ is the last of the three.
+  Status inverted_residual() {
+    const Layer& filter = network_.layer(source(0).layer);
+    const Layer& expand = network_.layer(filter.inputs[0].layer);
+    const int first = expand.inputs[0].layer;
+    const Shape& in = network_.layer(first).output;
+    kernels::InvertedResidual args;
+    args.input = data(first);
     args.height = in.height;
     args.width = in.width;
     args.channels = in.channels;
-    args.stride = layer_.stride;
+    args.hidden = expand.output.channels;
+    args.stride = filter.stride;
+    args.residual = layer_.residual >= 0 ? data(layer_.residual) : nullptr;
     args.output = output_;
-    LCDM_RETURN_IF_ERROR(store_taps(0, args.weights));
-    LCDM_RETURN_IF_ERROR(store(1, args.bias));
-    const auto kernel = [](const kernels::Depthwise3x3& a, int begin, int end, float*) {
-      kernels::depthwise3x3_rows(a, begin, end);
-    };
-    return add_step(args, kernel, layer_.output.height);
+    args.expanded = tensors_[static_cast<std::size_t>(filter.inputs[0].layer)].data();
+    args.filtered = tensors_[static_cast<std::size_t>(source(0).layer)].data();
+    LCDM_RETURN_IF_ERROR(pack_matrix(expand, in.channels, args.expand));
+    LCDM_RETURN_IF_ERROR(store_taps(filter.parameters[0], args.taps));
+    LCDM_RETURN_IF_ERROR(store(filter.parameters[1], args.taps_bias));
+    LCDM_RETURN_IF_ERROR(pack_matrix(layer_, args.hidden, args.project));
+    return add_step(args, &kernels::inverted_residual_rows, layer_.output.height, 1,
+                    kernels::inverted_residual_scratch(args));
   }
 
   Status resize() {
@@ -319,24 +360,92 @@ class Lowering {
     return add_step(args, apply, out.height);
   }
 
+  // Everything of a step's hidden layer; composed in double.
+  Status make_head_step(const Layer& layer, kernels::HeadStep& out) {
+    const auto channels = static_cast<std::size_t>(layer.output.channels);
+    const int state = layer.inputs[1].layer;
+    const bool starts_at_zero = network_.layer(state).kind == LayerKind::kStart &&
+                                network_.config().start == StartKind::kZeros;
+    out.shared = data(layer.inputs[0].layer);
+    out.state = starts_at_zero ? nullptr : data(state);
+    out.height = layer.output.height;
+    out.width = layer.output.width;
+    out.channels = layer.output.channels;
+    out.relu = layer.activation == Activation::kRelu;
+
+    const std::vector<float> embed = load(layer.parameters[0]);
+    const std::vector<float> time = load(layer.parameters[1]);
+    const std::vector<float> conv1 = load(layer.parameters[2]);
+    const std::vector<float> scale = load(layer.parameters[3]);
+    const std::vector<float> bias = load(layer.parameters[4]);
+    std::vector<float> composed(25 * channels);
+    std::vector<float> constant(channels);
+    std::vector<float> taps(9 * channels * channels);
+    for (std::size_t n = 0; n < channels; ++n) {
+      const auto s = static_cast<double>(scale[n]);
+      double sums[25] = {};
+      auto steady = static_cast<double>(bias[n]);
+      for (std::size_t c = 0; c < channels; ++c) {
+        for (std::size_t t = 0; t < 9; ++t) {
+          const float weight = conv1[(n * channels + c) * 9 + t];
+          taps[(t * channels + c) * channels + n] = weight;
+          const double scaled = s * static_cast<double>(weight);
+          steady += scaled * static_cast<double>(time[c]);
+          for (std::size_t e = 0; e < 9; ++e) {
+            const std::size_t at = 5 * (t / 3 + e / 3) + t % 3 + e % 3;
+            sums[at] += scaled * static_cast<double>(embed[c * 9 + e]);
+          }
+        }
+      }
+      constant[n] = static_cast<float>(steady);
+      for (std::size_t i = 0; i < 25; ++i) composed[i * channels + n] = static_cast<float>(sums[i]);
+    }
+    LCDM_RETURN_IF_ERROR(store(composed, out.composed));
+    LCDM_RETURN_IF_ERROR(store(constant, out.constant));
+    LCDM_RETURN_IF_ERROR(store(taps, out.conv1));
+    LCDM_RETURN_IF_ERROR(store(scale, out.scale));
+    LCDM_RETURN_IF_ERROR(store(bias, out.bias));
+    LCDM_RETURN_IF_ERROR(store(time, out.time));
+    return store_taps(layer.parameters[0], out.embed);
+  }
+
+  // Only where a norm needs it whole.
+  Status head_hidden() {
+    kernels::HeadStep args;
+    LCDM_RETURN_IF_ERROR(make_head_step(layer_, args));
+    args.hidden = output_;
+    const auto kernel = [](const kernels::HeadStep& a, int begin, int end, float*) {
+      kernels::head_hidden_rows(a, begin, end);
+    };
+    return add_step(args, kernel, args.height);
+  }
+
   Status update() {
-    const Shape& h = input_shape();
+    const Layer& hidden = network_.layer(source(0).layer);
     const SamplerStep step = make_sampler(network_.config())[static_cast<std::size_t>(layer_.step)];
-    kernels::Update args;
-    args.h = input(0);
-    args.height = h.height;
-    args.width = h.width;
-    args.channels = h.channels;
+    kernels::HeadUpdate args;
+    if (hidden.stored) {
+      args.hidden = input(0);
+      args.step.height = hidden.output.height;
+      args.step.width = hidden.output.width;
+      args.step.channels = hidden.output.channels;
+    } else {
+      LCDM_RETURN_IF_ERROR(make_head_step(hidden, args.step));
+      args.step.hidden = tensors_[static_cast<std::size_t>(source(0).layer)].data();
+    }
+    Result<std::span<float>> packed =
+        constants_.add(kernels::update_weight_floats(args.step.channels));
+    if (!packed) return packed.status();
+    kernels::pack_update_weights(load_taps(layer_.parameters[0]).data(), args.step.channels,
+                                 packed->data());
+    args.weights = packed->data();
     args.bias = load(1).front();
     args.p = static_cast<float>(step.p);
     args.q = static_cast<float>(step.q);
     args.state = input(1);
     args.next = output_;
-    LCDM_RETURN_IF_ERROR(store_taps(0, args.weights));
-    const auto kernel = [](const kernels::Update& a, int begin, int end, float*) {
-      kernels::update_rows(a, begin, end);
-    };
-    return add_step(args, kernel, h.height);
+    return add_step(args, &kernels::head_update_rows, args.step.height, 1,
+                    kernels::head_update_scratch(args));
   }
 
   Status depth() {

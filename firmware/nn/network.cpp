@@ -161,7 +161,9 @@ class Builder {
     const int residual = stride == 1 && in_channels == channels ? x : -1;
     int y = conv(name + ".conv1_1x1", {{x}}, make_divisible(in_channels * ratio),
                  {.kernel = 1, .activation = Activation::kSilu});
+    layers_[static_cast<std::size_t>(y)].stored = false;
     y = depthwise(name + ".conv2_kxk", y, stride);
+    layers_[static_cast<std::size_t>(y)].stored = false;
     return conv(name + ".conv3_1x1", {{y}}, channels, {.kernel = 1, .residual = residual});
   }
 
@@ -240,30 +242,34 @@ class Builder {
   int sample(int condition) {
     const Shape plane = {height_, width_, 1};
     int x = add({.kind = LayerKind::kStart, .name = "head.start", .output = plane});
-    for (int k = 0; k < static_cast<int>(config_.steps.size()); ++k) {
-      x = head(k, condition, x);
-    }
+    const int shared =
+        conv("head.conv1", {{condition}}, config_.condition_channels, {.bias = false});
+    for (int k = 0; k < static_cast<int>(config_.steps.size()); ++k) x = head(k, shared, x);
     return x;
   }
 
-  int head(int k, int condition, int x) {
-    const Shape wide = shape(condition);
+  int head(int k, int shared, int x) {
+    const Shape wide = shape(shared);
     const int c = wide.channels;
     const bool group_norm = config_.preset == PresetKind::kPaper;
     const std::string name = "head." + std::to_string(k);
     const std::string step = "head.steps." + std::to_string(k);
-    int h = add({.kind = LayerKind::kFusedConv,
+    // Counted as if each step did all of conv1; the shared layer has the first's.
+    const std::int64_t again = k > 0 ? c : 0;
+    int h = add({.kind = LayerKind::kHeadHidden,
                  .name = name + ".conv1",
-                 .inputs = {{condition}, {x}},
+                 .inputs = {{shared}, {x}},
                  .output = wide,
                  .kernel = 3,
                  .activation = group_norm ? Activation::kNone : Activation::kRelu,
                  .step = k,
                  .parameters = {{"head.embed.weight", {c, 1, 3, 3}},
                                 {step + ".embed.bias", {c}},
-                                {step + ".conv1.weight", {c, c, 3, 3}},
+                                {"head.conv1.weight", {c, c, 3, 3}},
+                                {step + ".conv1.scale", {c}},
                                 {step + ".conv1.bias", {c}}},
-                 .macs = static_cast<std::int64_t>(wide.count()) * 9 * (c + 1)});
+                 .macs = static_cast<std::int64_t>(wide.count()) * 9 * (again + 1),
+                 .stored = group_norm});
     if (group_norm) {
       h = add({.kind = LayerKind::kGroupNorm,
                .name = name + ".norm",
@@ -327,8 +333,8 @@ const char* to_string(LayerKind kind) {
       return "attention";
     case LayerKind::kStart:
       return "start";
-    case LayerKind::kFusedConv:
-      return "fused conv";
+    case LayerKind::kHeadHidden:
+      return "hidden";
     case LayerKind::kGroupNorm:
       return "group norm";
     case LayerKind::kUpdate:

@@ -29,20 +29,21 @@ struct Shape {
 };
 
 enum class LayerKind : std::uint8_t {
-  kInput,      // the normalised picture
-  kConv,       // 1x1 or 3x3 over the concatenation of its inputs; + residual; activation
-  kDepthwise,  // 3x3, one filter per channel; activation
-  kLinear,     // over the channels of each token; + residual; activation
-  kResize,     // bilinear, align_corners false, to any size
-  kUnfold,     // image to tokens of 2x2 patches
-  kFold,       // and back
-  kLayerNorm,  // over the channels of each token
-  kAttention,  // multi-head, within each position; input is q, k, v side by side
-  kStart,      // the sampler's start, made once at prepare
-  kFusedConv,  // condition + time + embed(x), then conv 3x3 and activation; never stored fused
-  kGroupNorm,  // 4 groups; activation
-  kUpdate,     // conv 3x3 to one channel and x <- p x + q out
-  kDepth,      // logit to depth in metres
+  kInput,       // the normalised picture
+  kConv,        // 1x1 or 3x3 over the concatenation of its inputs; + residual; activation
+  kDepthwise,   // 3x3, one filter per channel; activation
+  kLinear,      // over the channels of each token; + residual; activation
+  kResize,      // bilinear, align_corners false, to any size
+  kUnfold,      // image to tokens of 2x2 patches
+  kFold,        // and back
+  kLayerNorm,   // over the channels of each token
+  kAttention,   // multi-head, within each position; input is q, k, v side by side
+  kStart,       // the sampler's start, made once at prepare
+  kHeadHidden,  // conv1(condition + time + embed(x)), scale, bias and activation; reads
+                // conv1(condition), which all steps share, and x
+  kGroupNorm,   // 4 groups; activation
+  kUpdate,      // conv 3x3 to one channel and x <- p x + q out
+  kDepth,       // logit to depth in metres
 };
 
 const char* to_string(LayerKind kind);
@@ -67,17 +68,18 @@ struct Layer {
   LayerKind kind = LayerKind::kInput;
   std::string name;  // NETWORK.md's module name, with which tests find the output
   std::vector<Source> inputs =
-      {};             // kConv concatenates them; kFusedConv: condition, x; kUpdate: h, x
+      {};             // kConv concatenates them; kHeadHidden: shared, x; kUpdate: h, x
   int residual = -1;  // layer whose output is added before the activation, or -1
   Shape output = {};
   int kernel = 1;
   int stride = 1;
   Padding padding = Padding::kZero;
   Activation activation = Activation::kNone;
-  int step = -1;  // sampler step of kFusedConv and kUpdate
+  int step = -1;  // sampler step of kHeadHidden and kUpdate
   std::vector<Parameter> parameters =
-      {};                 // in the order weight, bias (kFusedConv: embed's, conv's)
+      {};                 // in the order weight, bias (kHeadHidden: embed's, conv1's with scale)
   std::int64_t macs = 0;  // multiply-adds
+  bool stored = true;     // false: made row by row inside the one layer that reads it
 };
 
 class Network {

@@ -4,18 +4,39 @@
 
 namespace lcdm {
 
+namespace {
+
+// When each layer is computed: where it stands, or inside its reader.
+std::vector<int> moments_of(const Network& network) {
+  std::vector<int> moments(network.layers().size());
+  for (int i = static_cast<int>(moments.size()) - 1; i >= 0; --i) {
+    const Layer& layer = network.layer(i);
+    int& moment = moments[static_cast<std::size_t>(i)];
+    if (layer.stored) moment = i;
+    for (const Source& source : layer.inputs) {
+      if (!network.layer(source.layer).stored) {
+        moments[static_cast<std::size_t>(source.layer)] = moment;
+      }
+    }
+  }
+  return moments;
+}
+
+}  // namespace
+
 NetworkPlan plan_network(const Network& network, bool keep_tensors) {
   const std::vector<Layer>& layers = network.layers();
   const int end = static_cast<int>(layers.size()) - 1;
+  const std::vector<int> moments = moments_of(network);
   NetworkPlan plan;
   for (int i = 0; i <= end; ++i) {
     const Layer& layer = network.layer(i);
-    const bool constant = layer.kind == LayerKind::kStart;
-    const std::size_t bytes = constant ? 0 : layer.output.count() * sizeof(float);
+    const bool in_arena = layer.kind != LayerKind::kStart && (layer.stored || keep_tensors);
+    const std::size_t bytes = in_arena ? layer.output.count() * sizeof(float) : 0;
     plan.lifetimes.push_back({bytes, keep_tensors ? 0 : i, keep_tensors ? end : i});
     const auto used_here = [&](int input) {
       int& last = plan.lifetimes[static_cast<std::size_t>(input)].last;
-      last = std::max(last, i);
+      last = std::max(last, moments[static_cast<std::size_t>(i)]);
     };
     for (const Source& source : layer.inputs) used_here(source.layer);
     if (layer.residual >= 0) used_here(layer.residual);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "firmware/base/os.h"
 #include "firmware/nn/noise.h"
 
 namespace lcdm {
@@ -54,6 +55,8 @@ Result<Program> Program::build(const Network& network, const ModelFile& model,
       const Result<std::span<float>> start = make_start(network, program.constants_);
       if (!start) return start.status();
       program.tensors_.push_back(*start);
+    } else if (plan.lifetimes[i].bytes == 0) {
+      program.tensors_.emplace_back();
     } else {
       program.tensors_.push_back(
           program.arena_.floats(plan.memory.offsets[i], layer.output.count()));
@@ -62,6 +65,7 @@ Result<Program> Program::build(const Network& network, const ModelFile& model,
   for (std::size_t i = 0; i < network.layers().size(); ++i) {
     LCDM_RETURN_IF_ERROR(lower_layer(network, static_cast<int>(i), model, program.tensors_,
                                      options.depth_scale, program.constants_, program.steps_));
+    program.layer_of_step_.resize(program.steps_.size(), i);
   }
 
   std::size_t scratch_bytes = 0;
@@ -76,13 +80,25 @@ Result<Program> Program::build(const Network& network, const ModelFile& model,
   return program;
 }
 
+void Program::run_step(const Step& step, WorkerPool& pool) const noexcept {
+  pool.run([&](int worker) {
+    const std::size_t offset = static_cast<std::size_t>(worker) * scratch_floats_;
+    float* scratch = scratch_.floats(offset * sizeof(float), scratch_floats_).data();
+    step.run(worker, pool.workers(), scratch);
+  });
+}
+
 void Program::run(WorkerPool& pool) const noexcept {
-  for (const auto& step : steps_) {
-    pool.run([&](int worker) {
-      const std::size_t offset = static_cast<std::size_t>(worker) * scratch_floats_;
-      float* scratch = scratch_.floats(offset * sizeof(float), scratch_floats_).data();
-      step->run(worker, pool.workers(), scratch);
-    });
+  for (const auto& step : steps_) run_step(*step, pool);
+}
+
+void Program::run_timed(WorkerPool& pool, std::span<std::int64_t> layer_ns) const noexcept {
+  std::int64_t before = os::monotonic_ns();
+  for (std::size_t i = 0; i < steps_.size(); ++i) {
+    run_step(*steps_[i], pool);
+    const std::int64_t after = os::monotonic_ns();
+    layer_ns[layer_of_step_[i]] += after - before;
+    before = after;
   }
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <span>
 #include <vector>
@@ -52,6 +53,8 @@ class Program {
 
   // From the input tensor to the depth tensor. `pool` has the number of workers given above.
   void run(WorkerPool& pool) const noexcept;
+  // The same; adds each layer's nanoseconds to layer_ns, one value for each layer of the network.
+  void run_timed(WorkerPool& pool, std::span<std::int64_t> layer_ns) const noexcept;
 
   // The output of layer `index`; between runs only if it is input or depth, or tensors are kept.
   std::span<float> tensor(int index) const { return tensors_[static_cast<std::size_t>(index)]; }
@@ -63,6 +66,7 @@ class Program {
 
  private:
   Program() = default;
+  void run_step(const Step& step, WorkerPool& pool) const noexcept;
 
   Arena arena_;    // activations
   Arena scratch_;  // scratch_floats_ per worker
@@ -70,6 +74,7 @@ class Program {
   std::size_t scratch_floats_ = 0;
   std::vector<std::span<float>> tensors_;  // per layer
   std::vector<std::unique_ptr<Step>> steps_;
+  std::vector<std::size_t> layer_of_step_;
 };
 
 // Appends to `steps` what computes layer `index` (nothing for input and start); packs its weights

@@ -5,6 +5,7 @@
 
 #include "firmware/nn/kernels/conv.h"
 #include "firmware/nn/kernels/head.h"
+#include "firmware/nn/kernels/inverted_residual.h"
 #include "firmware/nn/kernels/reshape.h"
 #include "tests/firmware/isa.h"
 
@@ -97,6 +98,21 @@ struct Filter {
               return static_cast<float>(at(n, k % in_channels, k / in_channels));
             },
             bias, packed_store)) {}
+  // The direct convolution of the channels after the first `skipped`.
+  PackedMatrix without(int skipped, std::vector<float>& store) const {
+    const int used = channels - skipped;
+    return pack_matrix(
+        used * 9, columns,
+        [&](int k, int n) { return static_cast<float>(at(n, skipped + k % used, k / used)); }, bias,
+        store);
+  }
+  // The first `count` channels, tap by tap.
+  PackedMatrix taps_of(int count, std::vector<float>& store) const {
+    return pack_matrix(
+        count, 9 * columns,
+        [&](int k, int n) { return static_cast<float>(at(n % columns, k, n / columns)); }, {},
+        store);
+  }
   double at(int n, int c, int tap) const {
     return static_cast<double>(weights[static_cast<std::size_t>((n * channels + c) * 9 + tap)]);
   }
@@ -132,25 +148,35 @@ void check_conv(Random& random, const Image& first, Upsampling upsampling, int s
   const auto first_values = to_floats(first.values);
   Image whole = upsampled(first, upsampling);
   Conv3x3 conv;
-  conv.inputs[0] = as_input(first, first_values, upsampling);
+  const bool bilinear = upsampling == Upsampling::kBilinear;
+  conv.input_count = 0;
+  if (!bilinear) conv.inputs[0] = as_input(first, first_values, upsampling);
+  if (!bilinear) ++conv.input_count;
   Image second;
   std::vector<float> second_values;
   if (second_channels > 0) {
     second = make_image(random, whole.height, whole.width, second_channels);
     second_values = to_floats(second.values);
-    conv.inputs[1] = as_input(second, second_values, Upsampling::kNone);
-    conv.input_count = 2;
+    conv.inputs[static_cast<std::size_t>(conv.input_count++)] =
+        as_input(second, second_values, Upsampling::kNone);
     whole = joined(whole, second);
   }
   const Filter filter(random, columns, whole.channels);
+  const int skipped = bilinear ? first.channels : 0;
+  std::vector<float> taps_store(packed_floats(first.channels, 9 * columns));
+  if (bilinear) {
+    conv.upsampled = {first_values.data(), first.height, first.width, first.channels,
+                      filter.taps_of(first.channels, taps_store)};
+  }
+  std::vector<float> direct_store(packed_floats((whole.channels - skipped) * 9, columns));
   std::vector<float> out(
       static_cast<std::size_t>(whole.height / stride * (whole.width / stride) * columns));
   conv.height = whole.height;
   conv.width = whole.width;
-  conv.channels = whole.channels;
+  conv.channels = whole.channels - skipped;
   conv.stride = stride;
   conv.padding = padding;
-  conv.weights = filter.packed;
+  conv.weights = filter.without(skipped, direct_store);
   conv.output = out.data();
   std::vector<float> scratch(conv3x3_scratch(conv));
   const int rows = whole.height / stride;
@@ -185,108 +211,278 @@ TEST(Conv3x3Kernel, UpsamplesAndConcatenatesWhileReading) {
         for (const int second : {0, 5, 16}) {
           const Image image =
               make_image(random, random.whole(2, 5), random.whole(2, 9), random.whole(1, 20));
-          check_conv(random, image, how, second, 1, padding, 7);
-        }
-      }
-    }
-  });
-}
-
-TEST(Conv3x3Kernel, EmbedsTheStateIntoTheCondition) {
-  for_each_isa([] {
-    Random random(3);
-    const Image condition = make_image(random, 5, 11, 12);
-    const Image state = make_image(random, 5, 11, 1);
-    const Filter filter(random, 6, condition.channels);
-    const auto taps = random.reals(9 * 12);
-    const auto bias = random.reals(12);
-    Image fused = condition;
-    for (int y = 0; y < 5; ++y) {
-      for (int x = 0; x < 11; ++x) {
-        for (int c = 0; c < 12; ++c) {
-          double& v = fused.values[static_cast<std::size_t>((y * 11 + x) * 12 + c)];
-          v += static_cast<double>(bias[static_cast<std::size_t>(c)]);
-          for (int t = 0; t < 9; ++t) {
-            v += static_cast<double>(taps[static_cast<std::size_t>(t * 12 + c)]) *
-                 state.padded(y + t / 3 - 1, x + t % 3 - 1, 0, Padding::kZero);
+          if (how == Upsampling::kBilinear && padding == Padding::kReflect) continue;  // no preset
+          for (const int columns : {1, 8, 23}) {
+            check_conv(random, image, how, second, 1, padding, columns);
           }
         }
       }
     }
-    const auto condition_values = to_floats(condition.values);
-    const auto state_values = to_floats(state.values);
-    std::vector<float> out(5 * 11 * 6);
-    Conv3x3 conv;
-    conv.inputs[0] = as_input(condition, condition_values, Upsampling::kNone);
-    conv.embedding = {state_values.data(), taps.data(), bias.data()};
-    conv.height = 5;
-    conv.width = 11;
-    conv.channels = 12;
-    conv.weights = filter.packed;
-    conv.output = out.data();
-    std::vector<float> scratch(conv3x3_scratch(conv));
-    conv3x3_rows(conv, 0, 5, scratch.data());
-    expect_convolved(fused, filter, conv, out);
   });
 }
 
-TEST(DepthwiseKernel, FiltersEachChannelAlone) {
+double silu(double x) { return x / (1 + std::exp(-x)); }
+
+// A 1x1 convolution: [columns][channels] weights, packed.
+struct Pointwise {
+  int columns;
+  int channels;
+  std::vector<float> weights;
+  std::vector<float> bias;
+  std::vector<float> packed_store;
+  PackedMatrix packed;
+
+  Pointwise(Random& random, int out_channels, int in_channels)
+      : columns(out_channels),
+        channels(in_channels),
+        weights(random.reals(static_cast<std::size_t>(out_channels * in_channels))),
+        bias(random.reals(static_cast<std::size_t>(out_channels))),
+        packed_store(packed_floats(in_channels, out_channels)),
+        packed(pack_matrix(
+            in_channels, out_channels,
+            [this](int k, int n) { return weights[static_cast<std::size_t>(n * channels + k)]; },
+            bias, packed_store)) {}
+
+  Image of(const Image& in) const {
+    Image out{in.height, in.width, columns, {}};
+    for (int p = 0; p < in.height * in.width; ++p) {
+      for (int n = 0; n < columns; ++n) {
+        double sum = static_cast<double>(bias[static_cast<std::size_t>(n)]);
+        for (int c = 0; c < channels; ++c) {
+          sum += static_cast<double>(weights[static_cast<std::size_t>(n * channels + c)]) *
+                 in.values[static_cast<std::size_t>(p * channels + c)];
+        }
+        out.values.push_back(sum);
+      }
+    }
+    return out;
+  }
+};
+
+Image depthwise(const Image& in, int stride, const std::vector<float>& taps,
+                const std::vector<float>& bias) {
+  Image out{in.height / stride, in.width / stride, in.channels, {}};
+  for (int y = 0; y < out.height; ++y) {
+    for (int x = 0; x < out.width; ++x) {
+      for (int c = 0; c < in.channels; ++c) {
+        double sum = static_cast<double>(bias[static_cast<std::size_t>(c)]);
+        for (int t = 0; t < 9; ++t) {
+          sum += static_cast<double>(taps[static_cast<std::size_t>(t * in.channels + c)]) *
+                 in.padded(y * stride + t / 3 - 1, x * stride + t % 3 - 1, c, Padding::kZero);
+        }
+        out.values.push_back(sum);
+      }
+    }
+  }
+  return out;
+}
+
+void expect_near(const std::vector<float>& got, const Image& want, double tolerance) {
+  ASSERT_EQ(got.size(), want.values.size());
+  for (std::size_t i = 0; i < got.size(); ++i) ASSERT_NEAR(got[i], want.values[i], tolerance) << i;
+}
+
+// The block in one pass against its three layers one after the other, with borders, over several
+// strips, and in slices as several workers would.
+void check_inverted_residual(Random& random, int channels, int hidden, int columns, int stride,
+                             int height, int width) {
+  SCOPED_TRACE(testing::Message() << channels << " -> " << hidden << " -> " << columns
+                                  << ", stride " << stride << ", " << width << "x" << height);
+  const Image in = make_image(random, height, width, channels);
+  const Pointwise expand(random, hidden, channels);
+  const auto taps = random.reals(static_cast<std::size_t>(9 * hidden));
+  const auto taps_bias = random.reals(static_cast<std::size_t>(hidden));
+  const Pointwise project(random, columns, hidden);
+  Image expanded = expand.of(in);
+  for (double& v : expanded.values) v = silu(v);
+  Image filtered = depthwise(expanded, stride, taps, taps_bias);
+  for (double& v : filtered.values) v = silu(v);
+  Image want = project.of(filtered);
+  const bool residual = stride == 1 && channels == columns;
+  for (std::size_t i = 0; residual && i < want.values.size(); ++i) want.values[i] += in.values[i];
+
+  const auto values = to_floats(in.values);
+  std::vector<float> out(want.values.size());
+  std::vector<float> seen_expanded(expanded.values.size());
+  std::vector<float> seen_filtered(filtered.values.size());
+  InvertedResidual block;
+  block.input = values.data();
+  block.height = height;
+  block.width = width;
+  block.channels = channels;
+  block.hidden = hidden;
+  block.stride = stride;
+  block.expand = expand.packed;
+  block.taps = taps.data();
+  block.taps_bias = taps_bias.data();
+  block.project = project.packed;
+  block.residual = residual ? values.data() : nullptr;
+  block.output = out.data();
+  block.expanded = seen_expanded.data();
+  block.filtered = seen_filtered.data();
+  std::vector<float> scratch(inverted_residual_scratch(block));
+  const int rows = height / stride;
+  inverted_residual_rows(block, rows / 2, rows, scratch.data());
+  inverted_residual_rows(block, 0, rows / 2, scratch.data());
+  expect_near(seen_expanded, expanded, 1e-4);
+  expect_near(seen_filtered, filtered, 1e-4);
+  expect_near(out, want, 1e-5 * hidden);
+}
+
+TEST(InvertedResidualKernel, IsItsThreeLayersInOnePass) {
   for_each_isa([] {
     Random random(4);
     for (const int stride : {1, 2}) {
-      for (const int channels : {1, 8, 20, 48}) {
-        const Image in =
-            make_image(random, stride * random.whole(1, 6), stride * random.whole(1, 12), channels);
-        const auto values = to_floats(in.values);
-        const auto weights = random.reals(static_cast<std::size_t>(9 * channels));
-        const auto bias = random.reals(static_cast<std::size_t>(channels));
-        const int rows = in.height / stride;
-        const int columns = in.width / stride;
-        std::vector<float> out(static_cast<std::size_t>(rows * columns * channels));
-        depthwise3x3_rows({values.data(), in.height, in.width, channels, stride, weights.data(),
-                           bias.data(), out.data()},
-                          0, rows);
-        std::size_t i = 0;
-        for (int y = 0; y < rows; ++y) {
-          for (int x = 0; x < columns; ++x) {
-            for (int c = 0; c < channels; ++c, ++i) {
-              double sum = static_cast<double>(bias[static_cast<std::size_t>(c)]);
-              for (int t = 0; t < 9; ++t) {
-                sum += static_cast<double>(weights[static_cast<std::size_t>(t * channels + c)]) *
-                       in.padded(y * stride + t / 3 - 1, x * stride + t % 3 - 1, c, Padding::kZero);
-              }
-              ASSERT_NEAR(out[i], sum / (1 + std::exp(-sum)), 1e-5) << y << ", " << x << ", " << c;
-            }
-          }
+      for (const int hidden : {1, 8, 20, 48}) {
+        check_inverted_residual(random, 5, hidden, 5, stride, stride * random.whole(1, 6),
+                                stride * random.whole(1, 12));
+      }
+      check_inverted_residual(random, 16, 640, 24, stride, 6, 84);  // several strips
+    }
+  });
+}
+
+// A head step on random weights, and the same figures made plainly: embed, add, convolve, scale.
+struct HeadCase {
+  Image condition, state, hidden, out;
+  std::vector<float> shared, state_values, scale, bias, time, embed, conv1, composed, constant;
+  std::vector<float> taps;
+  HeadStep step;
+};
+
+double tap_sum(const Image& image, const std::vector<float>& taps, int y, int x, int c, int n) {
+  // taps [9, image.channels, filters]: filter n, channel c
+  double sum = 0;
+  const auto filters = static_cast<int>(taps.size()) / 9 / image.channels;
+  for (int t = 0; t < 9; ++t) {
+    sum += static_cast<double>(
+               taps[static_cast<std::size_t>((t * image.channels + c) * filters + n)]) *
+           image.padded(y + t / 3 - 1, x + t % 3 - 1, c, Padding::kZero);
+  }
+  return sum;
+}
+
+Image convolved(const Image& in, const std::vector<float>& taps, int filters) {
+  Image out{in.height, in.width, filters, {}};
+  for (int y = 0; y < in.height; ++y) {
+    for (int x = 0; x < in.width; ++x) {
+      for (int n = 0; n < filters; ++n) {
+        double sum = 0;
+        for (int c = 0; c < in.channels; ++c) sum += tap_sum(in, taps, y, x, c, n);
+        out.values.push_back(sum);
+      }
+    }
+  }
+  return out;
+}
+
+// conv1 of embed's taps and of the time, as one 5x5 and one constant.
+void compose(HeadCase& h, int channels) {
+  const auto n = static_cast<std::size_t>(channels);
+  h.composed.assign(25 * n, 0);
+  h.constant = h.bias;
+  for (std::size_t t = 0; t < 9; ++t) {
+    for (std::size_t c = 0; c < n; ++c) {
+      for (std::size_t o = 0; o < n; ++o) {
+        const float w = h.scale[o] * h.conv1[(t * n + c) * n + o];
+        h.constant[o] += w * h.time[c];
+        for (std::size_t e = 0; e < 9; ++e) {
+          h.composed[(5 * (t / 3 + e / 3) + t % 3 + e % 3) * n + o] += w * h.embed[e * n + c];
+        }
+      }
+    }
+  }
+}
+
+void fill_head_case(HeadCase& h, Random& random, int height, int width, int channels, bool zero) {
+  const auto n = static_cast<std::size_t>(channels);
+  h.condition = make_image(random, height, width, channels);
+  h.state = make_image(random, height, width, 1);
+  if (zero) std::fill(h.state.values.begin(), h.state.values.end(), 0.0);
+  h.scale = random.reals(n, 0.5F, 1.5F);
+  h.bias = random.reals(n);
+  h.time = random.reals(n);
+  h.embed = random.reals(9 * n);
+  h.conv1 = random.reals(9 * n * n);
+  h.taps = random.reals(9 * n);
+  compose(h, channels);
+  Image fused = convolved(h.state, h.embed, channels);
+  for (std::size_t i = 0; i < fused.values.size(); ++i) {
+    fused.values[i] += h.condition.values[i] + static_cast<double>(h.time[i % n]);
+  }
+  h.hidden = convolved(fused, h.conv1, channels);
+  for (std::size_t i = 0; i < h.hidden.values.size(); ++i) {
+    const auto scaled = static_cast<double>(h.scale[i % n]) * h.hidden.values[i];
+    h.hidden.values[i] = std::max(0.0, scaled + static_cast<double>(h.bias[i % n]));
+  }
+  h.out = convolved(h.hidden, h.taps, 1);
+  h.shared = to_floats(convolved(h.condition, h.conv1, channels).values);
+  h.state_values = to_floats(h.state.values);
+  h.step = {h.shared.data(),
+            zero ? nullptr : h.state_values.data(),
+            height,
+            width,
+            channels,
+            h.scale.data(),
+            h.composed.data(),
+            h.constant.data(),
+            h.bias.data(),
+            h.embed.data(),
+            h.time.data(),
+            h.conv1.data(),
+            true,
+            nullptr};
+}
+
+// The whole image inside the border, hardly more than the border, and next to nothing.
+TEST(HeadKernel, SharesTheConditionsConvolutionExactlyBordersIncluded) {
+  for_each_isa([] {
+    Random random(5);
+    for (const bool zero : {false, true}) {
+      for (const int channels : {4, 16, 20}) {
+        for (const auto& [height, width] : {std::pair{7, 37}, {5, 6}, {2, 3}}) {
+          HeadCase h;
+          fill_head_case(h, random, height, width, channels, zero);
+          std::vector<float> hidden(h.hidden.values.size());
+          h.step.hidden = hidden.data();
+          head_hidden_rows(h.step, height / 2, height);
+          head_hidden_rows(h.step, 0, height / 2);
+          expect_near(hidden, h.hidden, 2e-4);
         }
       }
     }
   });
 }
 
-TEST(UpdateKernel, AddsTheLastConvolutionToTheState) {
+TEST(HeadKernel, UpdatesTheStateInTheSamePass) {
   for_each_isa([] {
-    Random random(5);
+    Random random(6);
     for (const int channels : {4, 16, 20}) {
-      const Image h = make_image(random, 4, 9, channels);
-      const auto values = to_floats(h.values);
-      const auto weights = random.reals(static_cast<std::size_t>(9 * channels));
-      const auto state = random.reals(4 * 9);
-      std::vector<float> next(4 * 9);
-      update_rows({values.data(), 4, 9, channels, weights.data(), 0.25F, 1.5F, -0.5F, state.data(),
-                   next.data()},
-                  0, 4);
-      for (int i = 0; i < 4 * 9; ++i) {
-        double out = 0.25;
-        for (int t = 0; t < 9; ++t) {
-          for (int c = 0; c < channels; ++c) {
-            out += static_cast<double>(weights[static_cast<std::size_t>(t * channels + c)]) *
-                   h.padded(i / 9 + t / 3 - 1, i % 9 + t % 3 - 1, c, Padding::kZero);
-          }
-        }
-        const auto at = static_cast<std::size_t>(i);
-        ASSERT_NEAR(next[at], 1.5 * static_cast<double>(state[at]) - 0.5 * out, 1e-5) << i;
+      constexpr int kHeight = 6;
+      constexpr int kWidth = 37;
+      HeadCase h;
+      fill_head_case(h, random, kHeight, kWidth, channels, false);
+      std::vector<float> weights(update_weight_floats(channels));
+      pack_update_weights(h.taps.data(), channels, weights.data());
+      std::vector<float> next(kHeight * kWidth);
+      std::vector<float> seen(h.hidden.values.size());
+      h.step.hidden = seen.data();
+      HeadUpdate update{nullptr, h.step, weights.data(),        0.25F,
+                        1.5F,    -0.5F,  h.state_values.data(), next.data()};
+      std::vector<float> scratch(head_update_scratch(update));
+      Image want = h.out;
+      for (std::size_t i = 0; i < next.size(); ++i) {
+        want.values[i] = 1.5 * h.state.values[i] - 0.5 * (0.25 + want.values[i]);
       }
+      head_update_rows(update, 3, kHeight, scratch.data());
+      head_update_rows(update, 0, 3, scratch.data());
+      expect_near(next, want, 1e-3);
+      expect_near(seen, h.hidden, 2e-4);
+
+      update.hidden = seen.data();  // a norm made it: it is read instead
+      std::fill(next.begin(), next.end(), 0.0F);
+      head_update_rows(update, 0, kHeight, scratch.data());
+      expect_near(next, want, 1e-3);
     }
   });
 }

@@ -145,15 +145,16 @@ void decoder(Builder& b, const ModelConfig& config, const std::array<int, 5>& ta
 void head(Builder& b, const ModelConfig& config) {
   const int c = config.condition_channels;
   b.add("head.embed.weight", {c, 1, 3, 3}, 0, 1.0 / 3);
+  b.conv("head.conv1", c, c, 3, kEluGain, false);
   for (std::size_t k = 0; k < config.steps.size(); ++k) {
     const std::string step = "head.steps." + std::to_string(k);
     b.add(step + ".embed.bias", {c}, 0, 0.3);
     if (config.preset == PresetKind::kPaper && k > 0) {
-      b.repeat(step + ".conv1.weight", "head.steps.0.conv1.weight");
       b.repeat(step + ".conv1.bias", "head.steps.0.conv1.bias");
     } else {
-      b.conv(step + ".conv1", c, c, 3, kEluGain);
+      b.add(step + ".conv1.bias", {c}, 0, 0.1);
     }
+    b.add(step + ".conv1.scale", {c}, 1, config.preset == PresetKind::kPaper ? 0 : 0.2);
   }
   if (config.preset == PresetKind::kPaper) b.norm("head.norm", c);
   b.conv("head.conv2", c, 1, 3, kEluGain);

@@ -316,6 +316,7 @@ class Reference {
       std::copy(noise.begin(), noise.end(), x.values.begin());
     }
     keep("head.start", x);
+    keep("head.conv1", conv("head.conv1.weight", "", condition, 1, false));
     const std::vector<double> abar = noise_schedule();
     for (std::size_t k = 0; k < config_.steps.size(); ++k) {
       const double a = abar[static_cast<std::size_t>(config_.steps[k])];
@@ -335,7 +336,15 @@ class Reference {
     const std::string name = "head." + std::to_string(k);
     const Planes fused =
         sum(conv("head.embed.weight", step + ".embed.bias", x, 1, false), condition);
-    Planes h = conv(step + ".conv1", fused);
+    Planes h = conv("head.conv1.weight", "", fused, 1, false);
+    for (int c = 0; c < h.channels; ++c) {
+      for (int y = 0; y < h.height; ++y) {
+        for (int x2 = 0; x2 < h.width; ++x2) {
+          h.at(c, y, x2) =
+              h.at(c, y, x2) * bias(step + ".conv1.scale", c) + bias(step + ".conv1.bias", c);
+        }
+      }
+    }
     if (paper_) {
       keep(name + ".conv1", h);
       h = keep(name + ".norm", mapped(group_norm(h), relu));

@@ -17,7 +17,7 @@ namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
 
 // Queries lie along the lanes, so the softmax over keys needs no sum across a vector.
-constexpr int kQueryVectors = 2;
+constexpr int kQueryVectors = 3;
 constexpr std::size_t kQueries = kQueryVectors * kLanes;
 
 // One tile of queries: pointers to its first query, and to its head's keys and values.

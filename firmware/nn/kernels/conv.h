@@ -1,5 +1,5 @@
-// 3x3 convolutions, from rows that are padded, upsampled, concatenated or fused while they are
-// read.
+// 3x3 convolutions, from rows that are padded, upsampled or concatenated while they are
+// read; what is upsampled bilinearly is convolved before it is upsampled.
 #pragma once
 
 #include <array>
@@ -9,28 +9,31 @@
 
 namespace lcdm::kernels {
 
-// An image [height, width, channels]; upsampling doubles both sides while it is read.
+// An image [height, width, channels]; upsampling to the nearest doubles both sides while it is
+// read.
 struct ConvInput {
   const float* data = nullptr;
   int height = 0;
   int width = 0;
   int channels = 0;
-  Upsampling upsampling = Upsampling::kNone;
+  Upsampling upsampling = Upsampling::kNone;  // or kNearest
 };
 
-// Turns the one input, the condition [H, W, C], into condition + bias + conv3x3(state).
-struct Embedding {
-  const float* state = nullptr;    // [H, W], zero outside; null: no embedding
-  const float* weights = nullptr;  // [9, C]
-  const float* bias = nullptr;     // [C]: the convolution's and the time's together
+// An input that is doubled bilinearly, as its share of the convolution (upsampled-inl.h).
+struct UpsampledShare {
+  const float* data = nullptr;  // [height, width, channels] before upsampling; null: none
+  int height = 0;
+  int width = 0;
+  int channels = 0;
+  PackedMatrix taps;  // depth channels; column (3 * ky + kx) * columns of the convolution + n
 };
 
 // A convolution with all it reads and writes; borrowed pointers.
 struct Conv3x3 {
+  UpsampledShare upsampled;         // added to what the inputs give; zero padding only
   std::array<ConvInput, 2> inputs;  // concatenated along the channels
-  int input_count = 1;
-  Embedding embedding;
-  int height = 0;  // of the input after upsampling
+  int input_count = 1;              // may be 0 beside an upsampled share
+  int height = 0;                   // of the input after upsampling
   int width = 0;
   int channels = 0;  // of all inputs together
   int stride = 1;
@@ -40,24 +43,10 @@ struct Conv3x3 {
   float* output = nullptr;  // [height / stride, width / stride, weights.columns]
 };
 
-// Floats of scratch that conv3x3_rows needs: a ring of three padded input rows.
+// Floats of scratch that conv3x3_rows needs: rings of three rows of either kind of input.
 std::size_t conv3x3_scratch(const Conv3x3& conv);
 
 // Computes output rows [begin, end).
 void conv3x3_rows(const Conv3x3& conv, int begin, int end, float* scratch);
-
-// Depthwise 3x3 with zero padding and SiLU.
-struct Depthwise3x3 {
-  const float* input = nullptr;  // [height, width, channels]
-  int height = 0;
-  int width = 0;
-  int channels = 0;
-  int stride = 1;
-  const float* weights = nullptr;  // [9, channels]
-  const float* bias = nullptr;     // [channels]
-  float* output = nullptr;         // [height / stride, width / stride, channels]
-};
-
-void depthwise3x3_rows(const Depthwise3x3& conv, int begin, int end);
 
 }  // namespace lcdm::kernels

@@ -16,8 +16,6 @@ HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
 
-constexpr std::size_t kLanes = HWY_LANES(float);
-
 // Rows of a tile `NV` vectors wide: as many as the registers hold beside one row of weights.
 template <int NV>
 constexpr int tile_rows() {
@@ -47,7 +45,7 @@ HWY_INLINE void accumulate(const float* a, std::ptrdiff_t row_stride, std::ptrdi
 }
 
 // Residual, activation, store: `columns` of the tile's NV vectors are real.
-template <int MR, int NV>
+template <Activation kActivation, int MR, int NV>
 HWY_INLINE void finish(const RowOutput& o, int row, int column, int columns,
                        FullVec (&acc)[MR][NV]) {
   const FullTag d;
@@ -60,14 +58,14 @@ HWY_INLINE void finish(const RowOutput& o, int row, int column, int columns,
         if (o.residual != nullptr) {
           acc[m][v] = hn::Add(acc[m][v], hn::LoadU(d, o.residual + at + first));
         }
-        hn::StoreU(activate(d, o.activation, acc[m][v]), d, o.data + at + first);
+        hn::StoreU(activate<kActivation>(d, acc[m][v]), d, o.data + at + first);
       } else {
         HWY_ALIGN float part[kLanes] = {};
         if (o.residual != nullptr) {
           std::memcpy(part, o.residual + at + first, left * sizeof(float));
           acc[m][v] = hn::Add(acc[m][v], hn::Load(d, part));
         }
-        hn::Store(activate(d, o.activation, acc[m][v]), d, part);
+        hn::Store(activate<kActivation>(d, acc[m][v]), d, part);
         std::memcpy(o.data + at + first, part, left * sizeof(float));
       }
     }
@@ -87,7 +85,9 @@ HWY_NOINLINE void tile(const RowInput& a, int row, const float* panel, const flo
     accumulate<MR, NV>(a.run[r] + row * a.stride, a.stride, 1, a.run_length,
                        panel + static_cast<std::size_t>(r) * a.run_length * NV * kLanes, acc);
   }
-  finish<MR, NV>(o, row, column, columns, acc);
+  with_activation(o.activation, [&](auto kind) HWY_ATTR {
+    finish<decltype(kind)::value, MR, NV>(o, row, column, columns, acc);
+  });
 }
 
 // All rows of one panel: full tiles, then halves of them.

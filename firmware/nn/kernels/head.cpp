@@ -1,5 +1,8 @@
 #include "firmware/nn/kernels/head.h"
 
+#include <algorithm>
+#include <cstring>
+
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/head.cpp"
@@ -13,38 +16,209 @@ HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
 
-// conv3x3 at one pixel, over kernel rows [ky_begin, ky_end) and columns [kx_begin, kx_end).
-HWY_INLINE float convolve_pixel(const Update& u, int y, int x, int ky_begin, int ky_end,
-                                int kx_begin, int kx_end) {
-  const auto channels = static_cast<std::size_t>(u.channels);
-  float sum = u.bias;
+constexpr int kMostChannels = 512;
+
+// condition-free input of conv1 at one pixel: time + embed(state); zero beyond the image.
+HWY_INLINE void fused_pixel(const HeadStep& s, int y, int x, float* out) {
+  const auto channels = static_cast<std::size_t>(s.channels);
+  const bool outside = y < 0 || y >= s.height || x < 0 || x >= s.width;
+  float state[9] = {};
+  for (int t = 0; t < 9 && s.state != nullptr; ++t) {
+    const int sy = y + t / 3 - 1;
+    const int sx = x + t % 3 - 1;
+    if (sy < 0 || sy >= s.height || sx < 0 || sx >= s.width) continue;
+    state[t] = s.state[static_cast<std::size_t>(sy) * s.width + sx];
+  }
   for_channels(channels, [&](auto d, std::size_t c) HWY_ATTR {
-    auto acc = hn::Zero(d);
-    for (int ky = ky_begin; ky < ky_end; ++ky) {
-      const float* row = u.h + static_cast<std::size_t>(y + ky - 1) * u.width * channels + c;
-      const float* w = u.weights + static_cast<std::size_t>(ky) * 3 * channels + c;
-      for (int kx = kx_begin; kx < kx_end; ++kx) {
-        const float* in = row + static_cast<std::size_t>(x + kx - 1) * channels;
-        acc = hn::MulAdd(hn::LoadU(d, in), hn::LoadU(d, w + kx * channels), acc);
-      }
+    auto sum = hn::LoadU(d, s.time + c);
+    LCDM_UNROLL for (std::size_t t = 0; t < 9; ++t) {
+      sum = hn::MulAdd(hn::Set(d, state[t]), hn::LoadU(d, s.embed + t * channels + c), sum);
     }
-    sum += hn::GetLane(hn::SumOfLanes(d, acc));
+    hn::StoreU(outside ? hn::Zero(d) : sum, d, out + c);
   });
-  return sum;
 }
 
-void update(const Update& u, int begin, int end) {
-  for (int y = begin; y < end; ++y) {
-    const int ky_begin = y == 0 ? 1 : 0;
-    const int ky_end = y == u.height - 1 ? 2 : 3;
-    const std::size_t row = static_cast<std::size_t>(y) * u.width;
-    for (int x = 0; x < u.width; ++x) {
-      const bool inside = x > 0 && x < u.width - 1;
-      const float out = inside ? convolve_pixel(u, y, x, ky_begin, ky_end, 0, 3)
-                               : convolve_pixel(u, y, x, ky_begin, ky_end, x == 0 ? 1 : 0,
-                                                x == u.width - 1 ? 2 : 3);
-      u.next[row + x] = u.p * u.state[row + x] + u.q * out;
+// The hidden layer at one pixel near the border, tap by tap.
+HWY_INLINE void border_hidden(const HeadStep& s, int y, int x, float* out) {
+  const auto channels = static_cast<std::size_t>(s.channels);
+  float fused[9 * kMostChannels];
+  for (int t = 0; t < 9; ++t) {
+    fused_pixel(s, y + t / 3 - 1, x + t % 3 - 1, fused + t * channels);
+  }
+  const float* shared = s.shared + (static_cast<std::size_t>(y) * s.width + x) * channels;
+  for_channels(channels, [&](auto d, std::size_t c) HWY_ATTR {
+    using V = decltype(hn::Zero(d));
+    V sum[4] = {hn::LoadU(d, shared + c), hn::Zero(d), hn::Zero(d), hn::Zero(d)};
+    for (std::size_t k = 0; k < 9 * channels; k += 4) {  // channels are a multiple of 4
+      LCDM_UNROLL for (std::size_t i = 0; i < 4; ++i) {
+        const V w = hn::LoadU(d, s.conv1 + (k + i) * channels + c);
+        sum[i] = hn::MulAdd(hn::Set(d, fused[k + i]), w, sum[i]);
+      }
     }
+    const V all = hn::Add(hn::Add(sum[0], sum[1]), hn::Add(sum[2], sum[3]));
+    const V h = hn::MulAdd(hn::LoadU(d, s.scale + c), all, hn::LoadU(d, s.bias + c));
+    hn::StoreU(s.relu ? hn::Max(h, hn::Zero(d)) : h, d, out + c);
+  });
+}
+
+// kPixels neighbours away from the border.
+template <std::size_t kPixels>
+HWY_INLINE void inner_hidden(const HeadStep& s, int y, int x, float* out, std::size_t pitch) {
+  const auto channels = static_cast<std::size_t>(s.channels);
+  const auto width = static_cast<std::size_t>(s.width);
+  const std::size_t at = static_cast<std::size_t>(y) * width + static_cast<std::size_t>(x);
+  const float* shared = s.shared + at * channels;
+  for_channels(channels, [&](auto d, std::size_t c) HWY_ATTR {
+    using V = decltype(hn::Zero(d));
+    const V scale = hn::LoadU(d, s.scale + c);
+    const V constant = hn::LoadU(d, s.constant + c);
+    V h[kPixels];
+    LCDM_UNROLL for (std::size_t i = 0; i < kPixels; ++i) {
+      h[i] = hn::MulAdd(scale, hn::LoadU(d, shared + i * channels + c), constant);
+    }
+    if (s.state != nullptr) {
+      LCDM_UNROLL for (std::size_t ky = 0; ky < 5; ++ky) {
+        const float* from = s.state + at + ky * width - 2 * width - 2;
+        LCDM_UNROLL for (std::size_t kx = 0; kx < 5; ++kx) {
+          const V w = hn::LoadU(d, s.composed + (5 * ky + kx) * channels + c);
+          LCDM_UNROLL for (std::size_t i = 0; i < kPixels; ++i) {
+            h[i] = hn::MulAdd(hn::Set(d, from[i + kx]), w, h[i]);
+          }
+        }
+      }
+    }
+    LCDM_UNROLL for (std::size_t i = 0; i < kPixels; ++i) {
+      hn::StoreU(s.relu ? hn::Max(h[i], hn::Zero(d)) : h[i], d, out + i * pitch + c);
+    }
+  });
+}
+
+// Row y of the hidden layer, `pitch` floats from pixel to pixel.
+HWY_INLINE void hidden_row(const HeadStep& s, int y, float* out, std::size_t pitch) {
+  constexpr int kBorder = 2;
+  constexpr int kPixels = 4;
+  int x = 0;
+  if (y >= kBorder && y < s.height - kBorder) {
+    for (; x < kBorder && x < s.width; ++x) border_hidden(s, y, x, out + x * pitch);
+    for (; x + kPixels <= s.width - kBorder; x += kPixels) {
+      inner_hidden<kPixels>(s, y, x, out + x * pitch, pitch);
+    }
+    for (; x < s.width - kBorder; ++x) inner_hidden<1>(s, y, x, out + x * pitch, pitch);
+  }
+  for (; x < s.width; ++x) border_hidden(s, y, x, out + x * pitch);
+}
+
+void hidden_rows(const HeadStep& s, int begin, int end) {
+  const auto channels = static_cast<std::size_t>(s.channels);
+  for (int y = begin; y < end; ++y) {
+    hidden_row(s, y, s.hidden + static_cast<std::size_t>(y) * s.width * channels, channels);
+  }
+}
+
+// Lane i of the result is the sum of all lanes of v[i].
+HWY_INLINE FullVec sums_of_lanes(FullVec (&v)[kLanes]) {
+#if HWY_TARGET != HWY_SCALAR
+  const FullTag d;
+  LCDM_UNROLL for (std::size_t n = kLanes / 2; n > 0; n /= 2) {
+    LCDM_UNROLL for (std::size_t i = 0; i < n; ++i) {
+      v[i] = hn::Add(hn::ConcatEven(d, v[2 * i + 1], v[2 * i]),
+                     hn::ConcatOdd(d, v[2 * i + 1], v[2 * i]));
+    }
+  }
+#endif
+  return v[0];
+}
+
+std::size_t padded_channels(int channels) {
+  return (static_cast<std::size_t>(channels) + kLanes - 1) / kLanes * kLanes;
+}
+
+// Row y of the hidden layer between two pixels of zeros, each pixel padded to whole vectors with
+// zeros that are there already; all zero beyond the image.
+HWY_INLINE void padded_row(const HeadUpdate& u, int y, float* out, std::size_t pitch) {
+  const HeadStep& s = u.step;
+  const auto width = static_cast<std::size_t>(s.width);
+  const auto channels = static_cast<std::size_t>(s.channels);
+  if (y < 0 || y >= s.height) {
+    std::memset(out, 0, (width + 2) * pitch * sizeof(float));
+    return;
+  }
+  const std::size_t at = static_cast<std::size_t>(y) * width * channels;
+  const std::size_t bytes = channels * sizeof(float);
+  float* first = out + pitch;
+  if (u.hidden == nullptr) {
+    hidden_row(s, y, first, pitch);
+    for (std::size_t x = 0; x < width && s.hidden != nullptr; ++x) {
+      std::memcpy(s.hidden + at + x * channels, first + x * pitch, bytes);
+    }
+  } else {
+    for (std::size_t x = 0; x < width; ++x) {
+      std::memcpy(first + x * pitch, u.hidden + at + x * channels, bytes);
+    }
+  }
+}
+
+// conv3x3 at kLanes pixels; the first window's corners are rows[ky].
+HWY_INLINE FullVec convolve_pixels(const HeadUpdate& u, const float* const (&rows)[3],
+                                   std::size_t pitch) {
+  const FullTag d;
+  FullVec sum[kLanes];
+  LCDM_UNROLL for (std::size_t i = 0; i < kLanes; ++i) sum[i] = hn::Zero(d);
+  for (std::size_t c = 0; c < pitch; c += kLanes) {
+    LCDM_UNROLL for (std::size_t ky = 0; ky < 3; ++ky) {
+      LCDM_UNROLL for (std::size_t kx = 0; kx < 3; ++kx) {
+        const FullVec w = hn::LoadU(d, u.weights + (3 * ky + kx) * pitch + c);
+        LCDM_UNROLL for (std::size_t i = 0; i < kLanes; ++i) {
+          sum[i] = hn::MulAdd(hn::LoadU(d, rows[ky] + (i + kx) * pitch + c), w, sum[i]);
+        }
+      }
+    }
+  }
+  return sums_of_lanes(sum);
+}
+
+HWY_INLINE float convolve_pixel(const HeadUpdate& u, const float* const (&rows)[3],
+                                std::size_t pitch) {
+  const FullTag d;
+  FullVec sum = hn::Zero(d);
+  for (std::size_t t = 0; t < 9; ++t) {
+    for (std::size_t c = 0; c < pitch; c += kLanes) {
+      sum = hn::MulAdd(hn::LoadU(d, rows[t / 3] + t % 3 * pitch + c),
+                       hn::LoadU(d, u.weights + t * pitch + c), sum);
+    }
+  }
+  return hn::GetLane(hn::SumOfLanes(d, sum));
+}
+
+// p * state + q * (bias + out) of one row, from the three padded rows around it.
+HWY_INLINE void update_row(const HeadUpdate& u, int y, const float* const (&rows)[3],
+                           std::size_t pitch) {
+  const FullTag d;
+  const auto width = static_cast<std::size_t>(u.step.width);
+  const float* state = u.state + static_cast<std::size_t>(y) * width;
+  float* next = u.next + static_cast<std::size_t>(y) * width;
+  std::size_t x = 0;
+  for (; x + kLanes <= width; x += kLanes) {
+    const float* const windows[3] = {rows[0] + x * pitch, rows[1] + x * pitch, rows[2] + x * pitch};
+    const FullVec out = hn::Add(convolve_pixels(u, windows, pitch), hn::Set(d, u.bias));
+    const FullVec kept = hn::Mul(hn::Set(d, u.p), hn::LoadU(d, state + x));
+    hn::StoreU(hn::MulAdd(hn::Set(d, u.q), out, kept), d, next + x);
+  }
+  for (; x < width; ++x) {
+    const float* const windows[3] = {rows[0] + x * pitch, rows[1] + x * pitch, rows[2] + x * pitch};
+    next[x] = u.p * state[x] + u.q * (u.bias + convolve_pixel(u, windows, pitch));
+  }
+}
+
+void update_rows(const HeadUpdate& u, int begin, int end, float* scratch) {
+  const std::size_t pitch = padded_channels(u.step.channels);
+  const std::size_t row_floats = static_cast<std::size_t>(u.step.width + 2) * pitch;
+  std::memset(scratch, 0, 3 * row_floats * sizeof(float));  // the padding
+  const auto slot = [&](int row) { return scratch + (row + 1) % 3 * row_floats; };
+  int loaded = begin - 1;
+  for (int y = begin; y < end; ++y) {
+    for (; loaded <= y + 1; ++loaded) padded_row(u, loaded, slot(loaded), pitch);
+    update_row(u, y, {slot(y - 1), slot(y), slot(y + 1)}, pitch);
   }
 }
 
@@ -68,11 +242,34 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace lcdm::kernels {
 
-HWY_EXPORT(update);
+HWY_EXPORT(hidden_rows);
+HWY_EXPORT(padded_channels);
+HWY_EXPORT(update_rows);
 HWY_EXPORT(depth);
 
-void update_rows(const Update& u, int begin, int end) {
-  HWY_DYNAMIC_DISPATCH(update)(u, begin, end);
+void head_hidden_rows(const HeadStep& step, int begin, int end) {
+  HWY_DYNAMIC_DISPATCH(hidden_rows)(step, begin, end);
+}
+
+std::size_t update_weight_floats(int channels) {
+  return 9 * HWY_DYNAMIC_DISPATCH(padded_channels)(channels);
+}
+
+void pack_update_weights(const float* taps, int channels, float* out) {
+  const std::size_t pitch = HWY_DYNAMIC_DISPATCH(padded_channels)(channels);
+  std::fill_n(out, 9 * pitch, 0.0F);
+  for (std::size_t t = 0; t < 9; ++t) {
+    std::copy_n(taps + t * static_cast<std::size_t>(channels), channels, out + t * pitch);
+  }
+}
+
+std::size_t head_update_scratch(const HeadUpdate& u) {
+  return 3 * static_cast<std::size_t>(u.step.width + 2) *
+         HWY_DYNAMIC_DISPATCH(padded_channels)(u.step.channels);
+}
+
+void head_update_rows(const HeadUpdate& u, int begin, int end, float* scratch) {
+  HWY_DYNAMIC_DISPATCH(update_rows)(u, begin, end, scratch);
 }
 
 void depth_range(const ToDepth& t, int begin, int end) {

@@ -1,15 +1,43 @@
-// The head's last convolution with the sampler's update, and the way from logit to metres.
+// The diffusion head: one evaluation with the sampler's update in one pass, and the way from logit
+// to metres.
+//
+// conv1(condition + time + embed(state)) = conv1(condition) + conv1(time) + conv1(embed(state)):
+// the first is the same for all steps and computed once; the last two are a constant and a 5x5
+// convolution of a single channel. Both convolutions pad with zeros, so within two pixels of the
+// border the sum is made tap by tap.
 #pragma once
+
+#include <cstddef>
 
 namespace lcdm::kernels {
 
-// next = p * state + q * (bias + conv3x3(h)), zero padding.
-struct Update {
-  const float* h = nullptr;  // [height, width, channels]
+// What a sampler step's hidden layer is made of. Borrowed pointers; C = channels.
+struct HeadStep {
+  const float* shared = nullptr;  // conv1(condition) without bias, [height, width, C]
+  const float* state = nullptr;   // [height, width]; null: zero everywhere
   int height = 0;
   int width = 0;
   int channels = 0;
-  const float* weights = nullptr;  // [9, channels]
+  const float* scale = nullptr;     // [C]: the folded norm's factor
+  const float* composed = nullptr;  // [25, C]: scale * conv1(embed(.)) away from the border
+  const float* constant = nullptr;  // [C]: bias + scale * conv1(time) away from the border
+  const float* bias = nullptr;      // [C]: of conv1 and the folded norm
+  // For the border.
+  const float* embed = nullptr;  // [9, C]
+  const float* time = nullptr;   // [C]: embed's bias and the time's embedding
+  const float* conv1 = nullptr;  // [9, C in, C out]
+  bool relu = true;              // false: a norm follows
+  float* hidden = nullptr;       // [height, width, C]; null where nobody reads it
+};
+
+// Computes rows [begin, end) of step.hidden.
+void head_hidden_rows(const HeadStep& step, int begin, int end);
+
+// next = p * state + q * (bias + conv3x3(hidden)), zero padding.
+struct HeadUpdate {
+  const float* hidden = nullptr;   // [height, width, C]; null: made from `step` row by row
+  HeadStep step;                   // its sizes count in both cases
+  const float* weights = nullptr;  // packed by pack_update_weights
   float bias = 0;
   float p = 0;
   float q = 0;
@@ -17,8 +45,15 @@ struct Update {
   float* next = nullptr;         // [height, width]
 };
 
+// Floats of `weights` for so many channels: [9, channels rounded up to whole vectors].
+std::size_t update_weight_floats(int channels);
+void pack_update_weights(const float* taps, int channels, float* out);  // taps [9, channels]
+
+// Floats of scratch that head_update_rows needs.
+std::size_t head_update_scratch(const HeadUpdate& update);
+
 // Computes rows [begin, end).
-void update_rows(const Update& update, int begin, int end);
+void head_update_rows(const HeadUpdate& update, int begin, int end, float* scratch);
 
 // metres = scale / (0.01 + 9.99 * sigmoid(state * deviation + mean)).
 struct ToDepth {

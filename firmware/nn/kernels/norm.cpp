@@ -103,7 +103,9 @@ void apply_group_norm(const GroupNorm& norm, int begin, int end) {
       const std::size_t pixels_end = static_cast<std::size_t>(end) * norm.width;
       for (std::size_t p = static_cast<std::size_t>(begin) * norm.width; p < pixels_end; ++p) {
         const auto v = hn::MulAdd(hn::LoadU(d, norm.input + p * pitch + c), w, b);
-        hn::StoreU(activate(d, norm.activation, v), d, norm.output + p * pitch + c);
+        with_activation(norm.activation, [&](auto kind) HWY_ATTR {
+          hn::StoreU(activate<decltype(kind)::value>(d, v), d, norm.output + p * pitch + c);
+        });
       }
     });
   }

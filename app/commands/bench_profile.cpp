@@ -1,0 +1,70 @@
+#include "app/commands/bench_profile.h"
+
+#include <cstdio>
+#include <numeric>
+#include <string>
+
+#include "firmware/nn/kernels/peak.h"
+
+namespace lcdm {
+namespace {
+
+constexpr double kSmallShare = 0.01;  // parts below it are summed up
+
+struct Part {
+  std::string name;
+  const char* kind = "";
+  double ms = 0;
+  double macs = 0;
+};
+
+void print_part(const Part& part, double all_ms, double peak) {
+  const double rate = part.ms > 0 ? part.macs / (part.ms * 1e6) : 0;
+  std::printf("%-42s %-10s %8.3f %6.1f%%", part.name.c_str(), part.kind, part.ms,
+              100 * part.ms / all_ms);
+  if (part.macs > 0) std::printf(" %9.1f %6.0f%%", 2 * rate, 100 * rate / peak);
+  std::printf("\n");
+}
+
+}  // namespace
+
+void print_profile(const Engine& engine, const EngineProfile& profile, int frames) {
+  const auto milliseconds = [frames](std::int64_t ns) {
+    return static_cast<double>(ns) * 1e-6 / frames;
+  };
+  std::vector<Part> parts = {{"preprocess", "", milliseconds(profile.preprocess_ns)}};
+  const std::vector<Layer>& layers = engine.network().layers();
+  double inside = 0;  // multiply-adds of layers that are computed inside the next stored one
+  for (std::size_t i = 0; i < layers.size(); ++i) {
+    const auto macs = static_cast<double>(layers[i].macs);
+    inside += macs;
+    if (!layers[i].stored) continue;
+    parts.push_back(
+        {layers[i].name, to_string(layers[i].kind), milliseconds(profile.layer_ns[i]), inside});
+    inside = 0;
+  }
+  parts.push_back({"to millimetres", "", milliseconds(profile.output_ns)});
+
+  const double all_ms = std::accumulate(parts.begin(), parts.end(), 0.0,
+                                        [](double sum, const Part& part) { return sum + part.ms; });
+  const double peak = kernels::peak_gmacs() * engine.stats().threads;
+  std::printf("\n%-42s %-10s %8s %7s %9s %7s\n", "part", "kind", "ms", "share", "GFLOP/s", "limit");
+  Part rest{"(all others)", "", 0, 0};
+  Part all{"frame", "", 0, 0};
+  for (const Part& part : parts) {
+    all.ms += part.ms;
+    all.macs += part.macs;
+    if (part.ms >= kSmallShare * all_ms) {
+      print_part(part, all_ms, peak);
+    } else {
+      rest.ms += part.ms;
+      rest.macs += part.macs;
+    }
+  }
+  print_part(rest, all_ms, peak);
+  print_part(all, all_ms, peak);
+  std::printf("limit      %.0f GFLOP/s: %d thread(s) of independent vector multiply-adds\n",
+              2 * peak, engine.stats().threads);
+}
+
+}  // namespace lcdm

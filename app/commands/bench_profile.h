@@ -1,0 +1,12 @@
+// lcdm bench --profile: where a frame's time goes.
+#pragma once
+
+#include "firmware/nn/engine.h"
+
+namespace lcdm {
+
+// One line for each part that takes a hundredth of the frame: time, share, arithmetic rate and its
+// share of what the processor could do. `profile` is of `frames` frames of `engine`.
+void print_profile(const Engine& engine, const EngineProfile& profile, int frames);
+
+}  // namespace lcdm
