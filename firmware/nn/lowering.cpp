@@ -43,6 +43,7 @@ class Lowering {
            const std::vector<std::span<float>>& tensors, float depth_scale,
            ConstantStore& constants, std::vector<std::unique_ptr<Step>>& steps)
       : network_(network),
+        index_(index),
         layer_(network.layer(index)),
         output_(tensors[static_cast<std::size_t>(index)].data()),
         model_(model),
@@ -58,8 +59,8 @@ class Lowering {
       case LayerKind::kStart:
         return Status::ok();
       case LayerKind::kConv:
-        if (!network_.layer(source(0).layer).stored) return inverted_residual();
-        return layer_.kernel == 1 ? matrix() : conv3x3();
+        if (layer_.kernel == 3) return conv3x3();
+        return network_.layer(source(0).layer).stored ? matrix() : inverted_residual();
       case LayerKind::kLinear:
         return matrix();
       case LayerKind::kDepthwise:
@@ -152,26 +153,29 @@ class Lowering {
     return Status::ok();
   }
 
-  // A 3x3 weight [columns, channels, 3, 3], without its first `skipped` channels, with its bias;
-  // k = tap * channels + c.
-  Status pack3x3(const std::vector<float>& weight, int channels, int skipped,
-                 const std::vector<float>& bias, kernels::PackedMatrix& out) {
-    const int used = channels - skipped;
+  // The channels of a 3x3 weight [columns, channels, 3, 3] that are not upsampled, which are the
+  // first, with the bias; k = tap * channels + c.
+  Status pack3x3(const Layer& layer, const std::vector<float>& weight, kernels::Conv3x3& args) {
+    const auto channels = static_cast<int>(layer.parameters[0].shape[1]);
+    const int used = args.channels;
     const auto at = [&](int k, int n) {
-      const int filter = n * channels + skipped + k % used;
+      const int filter = n * channels + channels - used + k % used;
       return weight[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(k / used)];
     };
-    return pack(9 * used, layer_.output.channels, at, bias, out);
+    return pack(9 * used, layer.output.channels, at, bias_of(layer), args.weights);
+  }
+
+  // Of a convolution or linear layer; empty where it has none.
+  std::vector<float> bias_of(const Layer& layer) const {
+    return layer.parameters.size() > 1 ? load(layer.parameters[1]) : std::vector<float>{};
   }
 
   // The weight [columns, depth] and, where there is one, the bias of a 1x1 convolution or a linear
   // layer.
   Status pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out) {
     const std::vector<float> weight = load(layer.parameters[0]);
-    const std::vector<float> bias =
-        layer.parameters.size() > 1 ? load(layer.parameters[1]) : std::vector<float>{};
     const auto at = [&](int k, int n) { return weight[static_cast<std::size_t>(n * depth + k)]; };
-    return pack(depth, layer.output.channels, at, bias, out);
+    return pack(depth, layer.output.channels, at, bias_of(layer), out);
   }
 
   // ---- the layers ----
@@ -201,26 +205,13 @@ class Lowering {
     return add_step(args, kernel, args.input.rows, 8);
   }
 
-  kernels::Conv3x3 conv_args() const {
-    kernels::Conv3x3 args;
-    args.input_count = 0;
-    args.stride = layer_.stride;
-    args.height = layer_.output.height * layer_.stride;
-    args.width = layer_.output.width * layer_.stride;
-    args.padding = layer_.padding;
-    args.activation = layer_.activation;
-    args.output = output_;
-    return args;
-  }
-
-  // An input that is doubled bilinearly is the first of its layer.
-  bool is_upsampled() const { return source(0).upsampling == Upsampling::kBilinear; }
-
-  // Its part of the 3x3 weight, one 1x1 convolution for each tap.
-  Status add_upsampled(const std::vector<float>& weight, int channels, kernels::Conv3x3& args) {
-    const Shape& in = input_shape();
-    const int columns = layer_.output.channels;
-    args.upsampled = {input(), in.height, in.width, in.channels, {}};
+  // Its part of a 3x3 weight, one 1x1 convolution for each tap.
+  Status add_upsampled(const Layer& layer, const std::vector<float>& weight,
+                       kernels::Conv3x3& args) {
+    const Shape& in = network_.layer(layer.inputs[0].layer).output;
+    const int columns = layer.output.channels;
+    const auto channels = static_cast<int>(layer.parameters[0].shape[1]);
+    args.upsampled = {data(layer.inputs[0].layer), in.height, in.width, in.channels, {}};
     const auto at = [&](int k, int n) {
       const int filter = n % columns * channels + k;
       return weight[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(n / columns)];
@@ -228,32 +219,49 @@ class Lowering {
     return pack(in.channels, 9 * columns, at, {}, args.upsampled.taps);
   }
 
-  void add_input(kernels::Conv3x3& args, std::size_t i) const {
-    const Shape& in = input_shape(i);
+  void add_input(const Source& source, kernels::Conv3x3& args) const {
+    const Shape& in = network_.layer(source.layer).output;
     LCDM_CHECK(static_cast<std::size_t>(args.input_count) < args.inputs.size());
-    args.inputs[static_cast<std::size_t>(args.input_count++)] = {input(i), in.height, in.width,
-                                                                 in.channels, source(i).upsampling};
+    args.inputs[static_cast<std::size_t>(args.input_count++)] = {
+        data(source.layer), in.height, in.width, in.channels, source.upsampling};
     args.channels += in.channels;
   }
 
-  Status add_conv(const kernels::Conv3x3& args) {
-    return add_step(args, &kernels::conv3x3_rows, layer_.output.height, 1,
-                    kernels::conv3x3_scratch(args));
+  Status make_conv(int index, kernels::Conv3x3& args) {
+    const Layer& layer = network_.layer(index);
+    args.input_count = 0;
+    args.stride = layer.stride;
+    args.height = layer.output.height * layer.stride;
+    args.width = layer.output.width * layer.stride;
+    args.padding = layer.padding;
+    args.activation = layer.activation;
+    args.output = tensors_[static_cast<std::size_t>(index)].data();
+    const std::vector<float> weight = load(layer.parameters[0]);
+    for (const Source& source : layer.inputs) {
+      if (source.upsampling == Upsampling::kBilinear) {  // the first, if any
+        LCDM_RETURN_IF_ERROR(add_upsampled(layer, weight, args));
+      } else {
+        add_input(source, args);
+      }
+    }
+    return pack3x3(layer, weight, args);
   }
 
+  // With the convolutions before it whose outputs are not stored.
   Status conv3x3() {
-    kernels::Conv3x3 args = conv_args();
-    const std::vector<float> weight = load(0);
-    const auto channels = static_cast<int>(layer_.parameters[0].shape[1]);
-    std::size_t first = 0;
-    if (is_upsampled()) {
-      LCDM_RETURN_IF_ERROR(add_upsampled(weight, channels, args));
-      first = 1;
+    std::vector<int> indices = {index_};
+    for (int before = source(0).layer; !network_.layer(before).stored;) {
+      indices.insert(indices.begin(), before);
+      before = network_.layer(before).inputs[0].layer;
     }
-    for (std::size_t i = first; i < layer_.inputs.size(); ++i) add_input(args, i);
-    const std::vector<float> bias = layer_.parameters.size() > 1 ? load(1) : std::vector<float>{};
-    LCDM_RETURN_IF_ERROR(pack3x3(weight, channels, channels - args.channels, bias, args.weights));
-    return add_conv(args);
+    kernels::ConvChain chain;
+    LCDM_CHECK(indices.size() <= chain.convs.size());
+    chain.count = static_cast<int>(indices.size());
+    for (std::size_t i = 0; i < indices.size(); ++i) {
+      LCDM_RETURN_IF_ERROR(make_conv(indices[i], chain.convs[i]));
+    }
+    return add_step(chain, &kernels::conv3x3_rows, layer_.output.height, 1,
+                    kernels::conv3x3_scratch(chain));
   }
 
   // Expand, depthwise, project: layer_ is the last of the three.
@@ -459,6 +467,7 @@ class Lowering {
   }
 
   const Network& network_;
+  int index_;
   const Layer& layer_;
   float* output_;
   const ModelFile& model_;

@@ -236,7 +236,13 @@ class Builder {
       if (i > 0) inputs.push_back({taps[i - 1]});
       x = conv_block(name + "_1", std::move(inputs), width);
     }
-    return conv_block("decoder.condition", {{x}}, config_.condition_channels);
+    // At full resolution each layer is made row by row inside the next; a reflected border asks for
+    // rows out of order.
+    const bool stored = padding_ == Padding::kReflect;
+    layers_[static_cast<std::size_t>(x)].stored = stored;
+    x = conv_block("decoder.condition", {{x}}, config_.condition_channels);
+    layers_[static_cast<std::size_t>(x)].stored = stored;
+    return x;
   }
 
   int sample(int condition) {

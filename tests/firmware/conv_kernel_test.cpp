@@ -178,11 +178,12 @@ void check_conv(Random& random, const Image& first, Upsampling upsampling, int s
   conv.padding = padding;
   conv.weights = filter.without(skipped, direct_store);
   conv.output = out.data();
-  std::vector<float> scratch(conv3x3_scratch(conv));
+  const ConvChain chain = {{conv}, 1};
+  std::vector<float> scratch(conv3x3_scratch(chain));
   const int rows = whole.height / stride;
-  conv3x3_rows(conv, rows / 2, rows, scratch.data());
-  conv3x3_rows(conv, 0, rows / 3, scratch.data());
-  conv3x3_rows(conv, rows / 3, rows / 2, scratch.data());
+  conv3x3_rows(chain, rows / 2, rows, scratch.data());
+  conv3x3_rows(chain, 0, rows / 3, scratch.data());
+  conv3x3_rows(chain, rows / 3, rows / 2, scratch.data());
   expect_convolved(whole, filter, conv, out);
 }
 
@@ -216,6 +217,45 @@ TEST(Conv3x3Kernel, UpsamplesAndConcatenatesWhileReading) {
             check_conv(random, image, how, second, 1, padding, columns);
           }
         }
+      }
+    }
+  });
+}
+
+// Upsampled, then three convolutions, in slices: the same as one after the other in memory.
+TEST(Conv3x3Kernel, ChainsWithoutStoringWhatIsBetween) {
+  for_each_isa([] {
+    Random random(3);
+    const Image image = make_image(random, 4, 7, 8);
+    const auto values = to_floats(image.values);
+    const Filter filters[3] = {{random, 8, 8}, {random, 16, 8}, {random, 20, 16}};
+    std::vector<float> taps_store(packed_floats(8, 9 * 8));
+    ConvChain chain;
+    chain.count = 3;
+    std::vector<float> outputs[3];
+    for (std::size_t i = 0; i < 3; ++i) {
+      Conv3x3& conv = chain.convs[i];
+      conv.height = 8;
+      conv.width = 14;
+      conv.channels = filters[i].channels;
+      conv.weights = filters[i].packed;
+      outputs[i].resize(8U * 14U * static_cast<std::size_t>(filters[i].columns));
+      conv.output = outputs[i].data();
+    }
+    Conv3x3& first = chain.convs[0];
+    first.upsampled = {values.data(), 4, 7, 8, filters[0].taps_of(8, taps_store)};
+    first.input_count = 0;
+    first.channels = 0;
+    std::vector<float> scratch(conv3x3_scratch(chain));
+    for (const bool kept : {true, false}) {
+      if (!kept) chain.convs[0].output = chain.convs[1].output = nullptr;
+      std::fill(outputs[2].begin(), outputs[2].end(), 0.0F);
+      conv3x3_rows(chain, 3, 8, scratch.data());
+      conv3x3_rows(chain, 0, 3, scratch.data());
+      Image in = upsampled(image, Upsampling::kBilinear);
+      for (std::size_t i = 0; i < 3; ++i) {
+        expect_convolved(in, filters[i], chain.convs[i], outputs[i]);
+        in = {8, 14, filters[i].columns, {outputs[i].begin(), outputs[i].end()}};
       }
     }
   });

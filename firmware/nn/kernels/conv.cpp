@@ -1,5 +1,8 @@
 #include "firmware/nn/kernels/conv.h"
 
+#include <algorithm>
+#include <cstring>
+
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/conv.cpp"
@@ -29,33 +32,88 @@ HWY_INLINE void finish_row(const Conv3x3& conv, const float* sums, float* out) {
   });
 }
 
-// In a padded row the three taps of a kernel row lie side by side: so one output pixel's input is
-// three runs of 3 * channels floats, and the convolution is a product with those rows.
-void conv_rows(const Conv3x3& conv, int begin, int end, float* scratch) {
-  const std::size_t row_floats = static_cast<std::size_t>(conv.width + 2) * conv.channels;
-  const auto slot = [&](int row) { return scratch + (row + 1) % 3 * row_floats; };
-  const int out_width = conv.width / conv.stride;
-  const std::ptrdiff_t columns = conv.weights.columns;
-  const std::ptrdiff_t out_pitch = out_width * columns;
-  const bool has_share = conv.upsampled.data != nullptr;
-  float* share = has_share ? scratch + 3 * row_floats : nullptr;
-  UpsampledRows upsampled(conv.upsampled, begin, has_share ? share + out_pitch : nullptr);
-  int loaded = begin * conv.stride - 1;  // the next row to load
-  for (int y = begin; y < end; ++y) {
-    float* out = conv.output + y * out_pitch;
-    if (has_share) upsampled.row(y, share);
-    if (conv.input_count == 0) {
-      finish_row(conv, share, out);
-      continue;
+// The rows of one convolution, in order; its input comes from memory or from the rows of the one
+// before.
+class ConvRows {
+ public:
+  // `first` is the first row that will be asked for; `before` null: the input is in memory.
+  HWY_INLINE void begin(const Conv3x3& conv, ConvRows* before, int first, float* scratch) {
+    conv_ = &conv;
+    before_ = before;
+    row_floats_ = static_cast<std::size_t>(conv.width + 2) * conv.channels;
+    ring_ = scratch;
+    loaded_ = first * conv.stride - 1;
+    if (conv.upsampled.data == nullptr) return;
+    share_ = ring_ + 3 * row_floats_;
+    upsampled_.begin(conv.upsampled, first, share_ + out_floats());
+  }
+
+  // Row y, [width / stride, columns].
+  //
+  // In a padded row the three taps of a kernel row lie side by side: so one output pixel's input is
+  // three runs of 3 * channels floats, and the convolution is a product with those rows.
+  HWY_NOINLINE void row(int y, float* out) {
+    if (share_ != nullptr) upsampled_.row(y, share_);
+    if (conv_->input_count == 0) {
+      finish_row(*conv_, share_, out);
+    } else {
+      const int top = y * conv_->stride - 1;
+      for (; loaded_ <= top + 2; ++loaded_) load(loaded_);
+      const RowInput rows = {{slot(top), slot(top + 1), slot(top + 2)},
+                             3,
+                             3 * conv_->channels,
+                             static_cast<std::ptrdiff_t>(conv_->stride) * conv_->channels,
+                             conv_->width / conv_->stride};
+      multiply(rows, conv_->weights, {out, share_, conv_->weights.columns, conv_->activation});
     }
-    const int top = y * conv.stride - 1;
-    for (; loaded <= top + 2; ++loaded) load_row(conv, loaded, slot(loaded));
-    const RowInput rows = {{slot(top), slot(top + 1), slot(top + 2)},
-                           3,
-                           3 * conv.channels,
-                           static_cast<std::ptrdiff_t>(conv.stride) * conv.channels,
-                           out_width};
-    multiply(rows, conv.weights, {out, share, columns, conv.activation});
+    if (conv_->output == nullptr) return;
+    float* kept = conv_->output + static_cast<std::size_t>(y) * out_floats();
+    if (kept != out) std::memcpy(kept, out, out_floats() * sizeof(float));
+  }
+
+ private:
+  std::size_t out_floats() const {
+    return static_cast<std::size_t>(conv_->width / conv_->stride) * conv_->weights.columns;
+  }
+  float* slot(int row) const {
+    return ring_ + static_cast<std::size_t>((row + 1) % 3) * row_floats_;
+  }
+
+  HWY_INLINE void load(int row) {
+    if (before_ == nullptr || row < 0 || row >= conv_->height) {
+      load_row(*conv_, row, slot(row));
+      return;
+    }
+    const auto pixel = static_cast<std::size_t>(conv_->channels);
+    before_->row(row, slot(row) + pixel);
+    std::memset(slot(row), 0, pixel * sizeof(float));
+    std::memset(slot(row) + row_floats_ - pixel, 0, pixel * sizeof(float));
+  }
+
+  const Conv3x3* conv_ = nullptr;
+  ConvRows* before_ = nullptr;
+  std::size_t row_floats_ = 0;
+  float* ring_ = nullptr;   // three padded input rows
+  int loaded_ = 0;          // the next one to load
+  float* share_ = nullptr;  // a row of the upsampled share; null: there is none
+  UpsampledRows upsampled_;
+};
+
+void conv_rows(const ConvChain& chain, int begin, int end, float* scratch) {
+  ConvRows rows[ConvChain::kMost];
+  const auto last = static_cast<std::size_t>(chain.count) - 1;
+  int first = begin;
+  for (std::size_t i = last + 1; i-- > 0;) {
+    const Conv3x3& conv = chain.convs[i];
+    rows[i].begin(conv, i > 0 ? &rows[i - 1] : nullptr, first, scratch);
+    scratch += conv.scratch_floats();
+    first = std::max(0, first * conv.stride - 1);
+  }
+  const Conv3x3& conv = chain.convs[last];
+  const std::size_t pitch =
+      static_cast<std::size_t>(conv.width / conv.stride) * conv.weights.columns;
+  for (int y = begin; y < end; ++y) {
+    rows[last].row(y, conv.output + static_cast<std::size_t>(y) * pitch);
   }
 }
 
@@ -68,20 +126,27 @@ namespace lcdm::kernels {
 
 HWY_EXPORT(conv_rows);
 
-std::size_t conv3x3_scratch(const Conv3x3& conv) {
+std::size_t Conv3x3::scratch_floats() const {
   const std::size_t ring =
-      3 * static_cast<std::size_t>(conv.width + 2) * static_cast<std::size_t>(conv.channels);
-  const UpsampledShare& up = conv.upsampled;
-  if (up.data == nullptr) return ring;
+      3 * static_cast<std::size_t>(width + 2) * static_cast<std::size_t>(channels);
+  if (upsampled.data == nullptr) return ring;
   // Three rows of products, a row of vertical sums, a row of the share itself.
   const std::size_t products =
-      static_cast<std::size_t>(up.width) * static_cast<std::size_t>(up.taps.columns);
+      static_cast<std::size_t>(upsampled.width) * static_cast<std::size_t>(upsampled.taps.columns);
   return ring + 3 * products + products / 3 +
-         static_cast<std::size_t>(conv.width) * static_cast<std::size_t>(conv.weights.columns);
+         static_cast<std::size_t>(width) * static_cast<std::size_t>(weights.columns);
 }
 
-void conv3x3_rows(const Conv3x3& conv, int begin, int end, float* scratch) {
-  HWY_DYNAMIC_DISPATCH(conv_rows)(conv, begin, end, scratch);
+std::size_t conv3x3_scratch(const ConvChain& chain) {
+  std::size_t floats = 0;
+  for (int i = 0; i < chain.count; ++i) {
+    floats += chain.convs[static_cast<std::size_t>(i)].scratch_floats();
+  }
+  return floats;
+}
+
+void conv3x3_rows(const ConvChain& chain, int begin, int end, float* scratch) {
+  HWY_DYNAMIC_DISPATCH(conv_rows)(chain, begin, end, scratch);
 }
 
 }  // namespace lcdm::kernels

@@ -41,12 +41,23 @@ struct Conv3x3 {
   PackedMatrix weights;  // k = (3 * ky + kx) * channels + c
   Activation activation = Activation::kNone;
   float* output = nullptr;  // [height / stride, width / stride, weights.columns]
+
+  std::size_t scratch_floats() const;  // rings of three rows of either kind of input
 };
 
-// Floats of scratch that conv3x3_rows needs: rings of three rows of either kind of input.
-std::size_t conv3x3_scratch(const Conv3x3& conv);
+// Convolutions of which each reads only the one before, row by row as it makes them; the last one's
+// output is stored, the others' only where they have one. All but the first pad with zeros (a
+// reflected border would ask for rows out of order) and have one input, whose data is null.
+struct ConvChain {
+  static constexpr std::size_t kMost = 3;
+  std::array<Conv3x3, kMost> convs;
+  int count = 1;
+};
 
-// Computes output rows [begin, end).
-void conv3x3_rows(const Conv3x3& conv, int begin, int end, float* scratch);
+// Floats of scratch that conv3x3_rows needs.
+std::size_t conv3x3_scratch(const ConvChain& chain);
+
+// Computes output rows [begin, end) of the last.
+void conv3x3_rows(const ConvChain& chain, int begin, int end, float* scratch);
 
 }  // namespace lcdm::kernels

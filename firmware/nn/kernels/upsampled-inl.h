@@ -45,12 +45,13 @@ HWY_INLINE TapWeights tap_weights(int at, int size) {
 class UpsampledRows {
  public:
   // `first` is the first row that will be asked for.
-  HWY_INLINE UpsampledRows(const UpsampledShare& share, int first, float* scratch)
-      : s_(share),
-        columns_(static_cast<std::size_t>(share.taps.columns) / 9),
-        ring_(scratch),
-        sums_(scratch == nullptr ? nullptr : ring_ + 3 * row_floats()),
-        next_(first / 2 - 1) {}
+  HWY_INLINE void begin(const UpsampledShare& share, int first, float* scratch) {
+    s_ = share;
+    columns_ = static_cast<std::size_t>(share.taps.columns) / 9;
+    ring_ = scratch;
+    sums_ = ring_ + 3 * row_floats();
+    next_ = first / 2 - 1;
+  }
 
   // Output row y, [2 * width, columns], into `out`.
   HWY_INLINE void row(int y, float* out) {
@@ -159,11 +160,11 @@ class UpsampledRows {
     });
   }
 
-  const UpsampledShare& s_;
-  std::size_t columns_;  // of the convolution
-  float* ring_;          // three rows of products
-  float* sums_;          // [width, 3, columns]
-  int next_;             // low-resolution row to convolve next
+  UpsampledShare s_;
+  std::size_t columns_ = 0;  // of the convolution
+  float* ring_ = nullptr;    // three rows of products
+  float* sums_ = nullptr;    // [width, 3, columns]
+  int next_ = 0;             // low-resolution row to convolve next
 };
 
 }  // namespace HWY_NAMESPACE
