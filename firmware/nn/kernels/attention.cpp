@@ -50,8 +50,8 @@ HWY_INLINE void score_rows(const QueryTile& t, int key, const float* packed, flo
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) acc[m][v] = hn::Zero(d);
   }
-  accumulate<MR, kQueryVectors>(t.keys + key * t.token_stride, t.token_stride, 1, t.head_channels,
-                                packed, acc);
+  accumulate<MR, kQueryVectors>(d, t.keys + key * t.token_stride, t.token_stride, 1,
+                                t.head_channels, packed, acc);
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) {
       hn::StoreU(acc[m][v], d, scores + (key + m) * kQueries + v * kLanes);
@@ -85,7 +85,7 @@ HWY_INLINE void mix_rows(const QueryTile& t, int channel, const float* scores,
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) acc[m][v] = hn::Zero(d);
   }
-  accumulate<MR, kQueryVectors>(t.values + channel, 1, t.token_stride, t.tokens, scores, acc);
+  accumulate<MR, kQueryVectors>(d, t.values + channel, 1, t.token_stride, t.tokens, scores, acc);
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) {
       hn::StoreU(hn::Mul(acc[m][v], inverse[v]), d, mixed + (channel + m) * kQueries + v * kLanes);

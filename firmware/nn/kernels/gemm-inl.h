@@ -27,40 +27,40 @@ constexpr int tile_rows() {
 }
 
 // acc[m][v] += sum over k of a[m * row_stride + k * k_stride] * b[k][v], in the order of k whatever
-// the tile: so results do not depend on how rows are cut into tiles. b is packed, NV vectors a row.
-template <int MR, int NV>
-HWY_INLINE void accumulate(const float* a, std::ptrdiff_t row_stride, std::ptrdiff_t k_stride,
-                           int depth, const float* b, FullVec (&acc)[MR][NV]) {
-  const FullTag d;
+// the tile: so results do not depend on how rows are cut into tiles. b is packed, NV full vectors a
+// row, of which vectors of tag d are used.
+template <int MR, int NV, class D>
+HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::ptrdiff_t k_stride,
+                           int depth, const float* b, hn::Vec<D> (&acc)[MR][NV]) {
   const float* row[MR];
   LCDM_UNROLL for (int m = 0; m < MR; ++m) row[m] = a + m * row_stride;
   for (std::ptrdiff_t k = 0; k < depth * k_stride; k += k_stride, b += NV * kLanes) {
-    FullVec w[NV];
+    hn::Vec<D> w[NV];
     LCDM_UNROLL for (int v = 0; v < NV; ++v) w[v] = hn::LoadU(d, b + v * kLanes);
     LCDM_UNROLL for (int m = 0; m < MR; ++m) {
-      const FullVec x = hn::Set(d, row[m][k]);
+      const auto x = hn::Set(d, row[m][k]);
       LCDM_UNROLL for (int v = 0; v < NV; ++v) acc[m][v] = hn::MulAdd(x, w[v], acc[m][v]);
     }
   }
 }
 
 // Residual, activation, store: `columns` of the tile's NV vectors are real.
-template <Activation kActivation, int MR, int NV>
-HWY_INLINE void finish(const RowOutput& o, int row, int column, int columns,
-                       FullVec (&acc)[MR][NV]) {
-  const FullTag d;
+template <Activation kActivation, int MR, int NV, class D>
+HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns,
+                       hn::Vec<D> (&acc)[MR][NV]) {
+  constexpr std::size_t kWidth = hn::MaxLanes(D());
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     const std::ptrdiff_t at = (row + m) * o.stride + column;
     LCDM_UNROLL for (int v = 0; v < NV; ++v) {
-      const int first = v * static_cast<int>(kLanes);
+      const int first = v * static_cast<int>(kWidth);
       const auto left = static_cast<std::size_t>(columns - first);
-      if (left >= kLanes) {
+      if (left >= kWidth) {
         if (o.residual != nullptr) {
           acc[m][v] = hn::Add(acc[m][v], hn::LoadU(d, o.residual + at + first));
         }
         hn::StoreU(activate<kActivation>(d, acc[m][v]), d, o.data + at + first);
       } else {
-        HWY_ALIGN float part[kLanes] = {};
+        HWY_ALIGN float part[kWidth] = {};
         if (o.residual != nullptr) {
           std::memcpy(part, o.residual + at + first, left * sizeof(float));
           acc[m][v] = hn::Add(acc[m][v], hn::Load(d, part));
@@ -73,37 +73,36 @@ HWY_INLINE void finish(const RowOutput& o, int row, int column, int columns,
 }
 
 // One tile of MR rows of one panel.
-template <int MR, int NV>
-HWY_NOINLINE void tile(const RowInput& a, int row, const float* panel, const float* bias,
+template <int MR, int NV, class D>
+HWY_NOINLINE void tile(D d, const RowInput& a, int row, const float* panel, const float* bias,
                        const RowOutput& o, int column, int columns) {
-  const FullTag d;
-  FullVec acc[MR][NV];
+  hn::Vec<D> acc[MR][NV];
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < NV; ++v) acc[m][v] = hn::LoadU(d, bias + v * kLanes);
   }
   for (int r = 0; r < a.runs; ++r) {
-    accumulate<MR, NV>(a.run[r] + row * a.stride, a.stride, 1, a.run_length,
+    accumulate<MR, NV>(d, a.run[r] + row * a.stride, a.stride, 1, a.run_length,
                        panel + static_cast<std::size_t>(r) * a.run_length * NV * kLanes, acc);
   }
   with_activation(o.activation, [&](auto kind) HWY_ATTR {
-    finish<decltype(kind)::value, MR, NV>(o, row, column, columns, acc);
+    finish<decltype(kind)::value, MR, NV>(d, o, row, column, columns, acc);
   });
 }
 
 // All rows of one panel: full tiles, then halves of them.
-template <int NV>
-HWY_INLINE void panel_rows(const RowInput& a, const float* panel, const float* bias,
+template <int NV, class D>
+HWY_INLINE void panel_rows(D d, const RowInput& a, const float* panel, const float* bias,
                            const RowOutput& o, int column, int columns) {
   constexpr int kRows = tile_rows<NV>();
   int row = 0;
   for (; row + kRows <= a.rows; row += kRows) {
-    tile<kRows, NV>(a, row, panel, bias, o, column, columns);
+    tile<kRows, NV>(d, a, row, panel, bias, o, column, columns);
   }
   if constexpr (kRows > 4) {
-    for (; row + 4 <= a.rows; row += 4) tile<4, NV>(a, row, panel, bias, o, column, columns);
+    for (; row + 4 <= a.rows; row += 4) tile<4, NV>(d, a, row, panel, bias, o, column, columns);
   }
-  for (; row + 2 <= a.rows; row += 2) tile<2, NV>(a, row, panel, bias, o, column, columns);
-  for (; row < a.rows; ++row) tile<1, NV>(a, row, panel, bias, o, column, columns);
+  for (; row + 2 <= a.rows; row += 2) tile<2, NV>(d, a, row, panel, bias, o, column, columns);
+  for (; row < a.rows; ++row) tile<1, NV>(d, a, row, panel, bias, o, column, columns);
 }
 
 // o[row][n] = activation(bias[n] + sum over runs and k of a * b + residual).
@@ -113,12 +112,16 @@ HWY_INLINE void multiply(const RowInput& a, const PackedMatrix& b, const RowOutp
     const float* panel = b.panels + static_cast<std::size_t>(column) * b.depth;
     const float* bias = b.bias + column;
     const int columns = b.columns - column;
+    const FullTag d;
+    const HWY_CAPPED(float, 8) eight;
     if (columns > 2 * static_cast<int>(kLanes)) {
-      panel_rows<3>(a, panel, bias, o, column, columns);
+      panel_rows<3>(d, a, panel, bias, o, column, columns);
     } else if (columns > static_cast<int>(kLanes)) {
-      panel_rows<2>(a, panel, bias, o, column, columns);
+      panel_rows<2>(d, a, panel, bias, o, column, columns);
+    } else if (kLanes > 8 && columns <= 8) {
+      panel_rows<1>(eight, a, panel, bias, o, column, columns);  // half a vector costs half
     } else {
-      panel_rows<1>(a, panel, bias, o, column, columns);
+      panel_rows<1>(d, a, panel, bias, o, column, columns);
     }
   }
 }

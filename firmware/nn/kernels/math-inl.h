@@ -45,13 +45,14 @@ HWY_INLINE V exp_approx(D d, V x) {
 // 1 / x for positive x, within 2e-7 relative.
 template <class D, class V>
 HWY_INLINE V reciprocal(D d, V x) {
-#if HWY_TARGET == HWY_AVX3
-  // The estimate has 14 bits; one step of Newton's doubles them, in half a division's time.
-  const V r = hn::ApproximateReciprocal(x);
-  return hn::Mul(r, hn::NegMulAdd(x, r, hn::Set(d, 2.0F)));
-#else
-  return hn::Div(hn::Set(d, 1.0F), x);
-#endif
+  if constexpr (HWY_TARGET == HWY_AVX3 && hn::MaxLanes(D()) == 16) {
+    // The estimate has 14 bits (12 in narrower vectors); one step of Newton's doubles them, in half
+    // a division's time.
+    const V r = hn::ApproximateReciprocal(x);
+    return hn::Mul(r, hn::NegMulAdd(x, r, hn::Set(d, 2.0F)));
+  } else {
+    return hn::Div(hn::Set(d, 1.0F), x);
+  }
 }
 
 template <Activation kActivation, class D, class V>
