@@ -48,7 +48,7 @@ HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::
 template <Activation kActivation, int MR, int NV, class D>
 HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns,
                        hn::Vec<D> (&acc)[MR][NV]) {
-  constexpr std::size_t kWidth = hn::MaxLanes(D());
+  constexpr std::size_t kWidth = sizeof(hn::Vec<D>) / sizeof(float);
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     const std::ptrdiff_t at = (row + m) * o.stride + column;
     LCDM_UNROLL for (int v = 0; v < NV; ++v) {

@@ -45,7 +45,7 @@ HWY_INLINE V exp_approx(D d, V x) {
 // 1 / x for positive x, within 2e-7 relative.
 template <class D, class V>
 HWY_INLINE V reciprocal(D d, V x) {
-  if constexpr (HWY_TARGET == HWY_AVX3 && hn::MaxLanes(D()) == 16) {
+  if constexpr (HWY_TARGET == HWY_AVX3 && sizeof(V) == 64) {
     // The estimate has 14 bits (12 in narrower vectors); one step of Newton's doubles them, in half
     // a division's time.
     const V r = hn::ApproximateReciprocal(x);
