@@ -9,6 +9,7 @@
 #include "firmware/nn/kernels/matrix.h"
 #include "firmware/nn/kernels/norm.h"
 #include "firmware/nn/kernels/reshape.h"
+#include "firmware/nn/kernels/winograd.h"
 #include "firmware/nn/program.h"
 #include "firmware/nn/sampler.h"
 
@@ -153,16 +154,26 @@ class Lowering {
     return Status::ok();
   }
 
-  // The channels of a 3x3 weight [columns, channels, 3, 3] that are not upsampled, which are the
-  // first, with the bias; k = tap * channels + c.
-  Status pack3x3(const Layer& layer, const std::vector<float>& weight, kernels::Conv3x3& args) {
-    const auto channels = static_cast<int>(layer.parameters[0].shape[1]);
-    const int used = args.channels;
-    const auto at = [&](int k, int n) {
-      const int filter = n * channels + channels - used + k % used;
-      return weight[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(k / used)];
-    };
-    return pack(9 * used, layer.output.channels, at, bias_of(layer), args.weights);
+  // The last `used` channels of a 3x3 weight [columns, channels, 3, 3]: those before are upsampled.
+  struct Filters {
+    std::vector<float> values;
+    int channels = 0;
+    int used = 0;
+
+    float at(int c, int n, int tap) const {
+      const int filter = n * channels + channels - used + c;
+      return values[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(tap)];
+    }
+  };
+  Filters filters_of(const Layer& layer, int used) const {
+    return {load(layer.parameters[0]), static_cast<int>(layer.parameters[0].shape[1]), used};
+  }
+
+  // With the bias; k = tap * channels + c.
+  Status pack3x3(const Layer& layer, kernels::Conv3x3& args) {
+    const Filters filters = filters_of(layer, args.channels);
+    const auto at = [&](int k, int n) { return filters.at(k % filters.used, n, k / filters.used); };
+    return pack(9 * filters.used, layer.output.channels, at, bias_of(layer), args.weights);
   }
 
   // Of a convolution or linear layer; empty where it has none.
@@ -206,8 +217,8 @@ class Lowering {
   }
 
   // Its part of a 3x3 weight, one 1x1 convolution for each tap.
-  Status add_upsampled(const Layer& layer, const std::vector<float>& weight,
-                       kernels::Conv3x3& args) {
+  Status add_upsampled(const Layer& layer, kernels::Conv3x3& args) {
+    const std::vector<float> weight = load(layer.parameters[0]);
     const Shape& in = network_.layer(layer.inputs[0].layer).output;
     const int columns = layer.output.channels;
     const auto channels = static_cast<int>(layer.parameters[0].shape[1]);
@@ -227,6 +238,7 @@ class Lowering {
     args.channels += in.channels;
   }
 
+  // All but the weights of the inputs that are not upsampled.
   Status make_conv(int index, kernels::Conv3x3& args) {
     const Layer& layer = network_.layer(index);
     args.input_count = 0;
@@ -236,15 +248,30 @@ class Lowering {
     args.padding = layer.padding;
     args.activation = layer.activation;
     args.output = tensors_[static_cast<std::size_t>(index)].data();
-    const std::vector<float> weight = load(layer.parameters[0]);
     for (const Source& source : layer.inputs) {
       if (source.upsampling == Upsampling::kBilinear) {  // the first, if any
-        LCDM_RETURN_IF_ERROR(add_upsampled(layer, weight, args));
+        LCDM_RETURN_IF_ERROR(add_upsampled(layer, args));
       } else {
         add_input(source, args);
       }
     }
-    return pack3x3(layer, weight, args);
+    return Status::ok();
+  }
+
+  Status winograd(kernels::WinogradConv& args) {
+    const int columns = layer_.output.channels;
+    const Filters filters = filters_of(layer_, args.conv.channels);
+    Result<std::span<float>> panels =
+        constants_.add(kernels::winograd_floats(filters.used, columns));
+    if (!panels) return panels.status();
+    kernels::pack_winograd(
+        filters.used, columns, [&filters](int c, int n, int tap) { return filters.at(c, n, tap); },
+        *panels);
+    args.panels = panels->data();
+    args.conv.weights.columns = columns;
+    LCDM_RETURN_IF_ERROR(store(bias_of(layer_), args.conv.weights.bias));
+    return add_step(args, &kernels::winograd_rows, layer_.output.height, kernels::kWinogradTile,
+                    kernels::winograd_scratch(args));
   }
 
   // With the convolutions before it whose outputs are not stored.
@@ -258,7 +285,14 @@ class Lowering {
     LCDM_CHECK(indices.size() <= chain.convs.size());
     chain.count = static_cast<int>(indices.size());
     for (std::size_t i = 0; i < indices.size(); ++i) {
-      LCDM_RETURN_IF_ERROR(make_conv(indices[i], chain.convs[i]));
+      kernels::Conv3x3& conv = chain.convs[i];
+      LCDM_RETURN_IF_ERROR(make_conv(indices[i], conv));
+      const Layer& layer = network_.layer(indices[i]);
+      if (chain.count == 1 && kernels::winograd_pays(conv, layer.output.channels)) {
+        kernels::WinogradConv args{conv, nullptr};
+        return winograd(args);
+      }
+      LCDM_RETURN_IF_ERROR(pack3x3(layer, conv));
     }
     return add_step(chain, &kernels::conv3x3_rows, layer_.output.height, 1,
                     kernels::conv3x3_scratch(chain));

@@ -126,15 +126,20 @@ namespace lcdm::kernels {
 
 HWY_EXPORT(conv_rows);
 
+std::size_t UpsampledShare::scratch_floats() const {
+  if (data == nullptr) return 0;
+  const std::size_t products =
+      static_cast<std::size_t>(width) * static_cast<std::size_t>(taps.columns);
+  return 3 * products + products / 3;
+}
+
 std::size_t Conv3x3::scratch_floats() const {
   const std::size_t ring =
       3 * static_cast<std::size_t>(width + 2) * static_cast<std::size_t>(channels);
   if (upsampled.data == nullptr) return ring;
-  // Three rows of products, a row of vertical sums, a row of the share itself.
-  const std::size_t products =
-      static_cast<std::size_t>(upsampled.width) * static_cast<std::size_t>(upsampled.taps.columns);
-  return ring + 3 * products + products / 3 +
-         static_cast<std::size_t>(width) * static_cast<std::size_t>(weights.columns);
+  const std::size_t share_row =
+      static_cast<std::size_t>(width) * static_cast<std::size_t>(weights.columns);
+  return ring + upsampled.scratch_floats() + share_row;
 }
 
 std::size_t conv3x3_scratch(const ConvChain& chain) {
