@@ -269,7 +269,9 @@ class Lowering {
         *panels);
     args.panels = panels->data();
     args.conv.weights.columns = columns;
-    LCDM_RETURN_IF_ERROR(store(bias_of(layer_), args.conv.weights.bias));
+    std::vector<float> bias = bias_of(layer_);
+    bias.resize(static_cast<std::size_t>(columns));  // zeros where there is none
+    LCDM_RETURN_IF_ERROR(store(bias, args.conv.weights.bias));
     return add_step(args, &kernels::winograd_rows, layer_.output.height, kernels::kWinogradTile,
                     kernels::winograd_scratch(args));
   }
@@ -283,16 +285,15 @@ class Lowering {
     }
     kernels::ConvChain chain;
     LCDM_CHECK(indices.size() <= chain.convs.size());
-    chain.count = static_cast<int>(indices.size());
-    for (std::size_t i = 0; i < indices.size(); ++i) {
-      kernels::Conv3x3& conv = chain.convs[i];
-      LCDM_RETURN_IF_ERROR(make_conv(indices[i], conv));
-      const Layer& layer = network_.layer(indices[i]);
-      if (chain.count == 1 && kernels::winograd_pays(conv, layer.output.channels)) {
-        kernels::WinogradConv args{conv, nullptr};
+    for (const int index : indices) {
+      kernels::Conv3x3& conv = chain.convs[static_cast<std::size_t>(chain.count)];
+      LCDM_RETURN_IF_ERROR(make_conv(index, conv));
+      if (index == index_ && kernels::winograd_pays(conv, layer_.output.channels)) {
+        kernels::WinogradConv args{chain, conv, nullptr};
         return winograd(args);
       }
-      LCDM_RETURN_IF_ERROR(pack3x3(layer, conv));
+      LCDM_RETURN_IF_ERROR(pack3x3(network_.layer(index), conv));
+      ++chain.count;
     }
     return add_step(chain, &kernels::conv3x3_rows, layer_.output.height, 1,
                     kernels::conv3x3_scratch(chain));

@@ -151,7 +151,7 @@ void check_winograd(const Conv3x3& conv, const Image& whole, const Filter& filte
       used, filter.columns,
       [&](int c, int n, int tap) { return static_cast<float>(filter.at(n, skipped + c, tap)); },
       panels);
-  WinogradConv winograd{conv, panels.data()};
+  WinogradConv winograd{{}, conv, panels.data()};
   std::vector<float> out(static_cast<std::size_t>(whole.height * whole.width * filter.columns));
   winograd.conv.output = out.data();
   std::vector<float> scratch(winograd_scratch(winograd));
@@ -278,6 +278,20 @@ TEST(Conv3x3Kernel, ChainsWithoutStoringWhatIsBetween) {
         in = {8, 14, filters[i].columns, {outputs[i].begin(), outputs[i].end()}};
       }
     }
+    // The last one by Winograd's algorithm, fed by the first two.
+    std::vector<float> panels(winograd_floats(16, 20));
+    const auto weight = [&](int c, int n, int tap) {
+      return static_cast<float>(filters[2].at(n, c, tap));
+    };
+    pack_winograd(16, 20, weight, panels);
+    WinogradConv winograd{chain, chain.convs[2], panels.data()};
+    winograd.before.count = 2;
+    const std::vector<float> direct = outputs[2];
+    std::fill(outputs[2].begin(), outputs[2].end(), 0.0F);
+    std::vector<float> more(winograd_scratch(winograd));
+    winograd_rows(winograd, 4, 8, more.data());
+    winograd_rows(winograd, 0, 4, more.data());
+    for (std::size_t i = 0; i < direct.size(); ++i) ASSERT_NEAR(outputs[2][i], direct[i], 2e-3);
   });
 }
 

@@ -121,10 +121,10 @@ TEST(NetworkPlan, ArenaBytesAreKnownBeforeAnythingIsAllocated) {
   const auto bytes = [](EncoderKind encoder, PresetKind preset, int width, int height) {
     return plan_network(make_network(encoder, preset, width, height), false).memory.bytes;
   };
-  EXPECT_EQ(bytes(EncoderKind::kXxs, PresetKind::kLcdm, 640, 192), 15728640U);
-  EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kLcdm, 640, 192), 15728640U);
+  EXPECT_EQ(bytes(EncoderKind::kXxs, PresetKind::kLcdm, 640, 192), 8847360U);
+  EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kLcdm, 640, 192), 9584640U);
   EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kPaper, 640, 192), 24084480U);
-  EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kLcdm, 640, 480), 39321600U);
+  EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kLcdm, 640, 480), 23961600U);
 }
 
 // A layer that is not stored is computed, and reads, when the next stored one is.

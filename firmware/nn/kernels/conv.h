@@ -53,7 +53,7 @@ struct Conv3x3 {
 struct ConvChain {
   static constexpr std::size_t kMost = 3;
   std::array<Conv3x3, kMost> convs;
-  int count = 1;
+  int count = 0;
 };
 
 // Floats of scratch that conv3x3_rows needs.

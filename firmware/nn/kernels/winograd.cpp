@@ -9,9 +9,7 @@
 #include "firmware/nn/kernels/simd.h"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
-#include "firmware/nn/kernels/gemm-inl.h"
-#include "firmware/nn/kernels/rows-inl.h"
-#include "firmware/nn/kernels/upsampled-inl.h"
+#include "firmware/nn/kernels/conv-inl.h"
 // clang-format on
 
 HWY_BEFORE_NAMESPACE();
@@ -66,14 +64,24 @@ class Batch {
     patches_ = rows_ + (kTile * strips_ + 2) * row_floats();
     products_ = patches_ + kWinogradProducts * tiles() * channels_;
     shares_ = products_ + kWinogradProducts * tiles() * columns_;
-    if (conv_.upsampled.data == nullptr) return;
-    upsampled_.begin(conv_.upsampled, first_row, shares_ + kTile * strips_ * out_floats());
+    float* rest = shares_;
+    if (conv_.upsampled.data != nullptr) {
+      rest += kTile * strips_ * out_floats();
+      upsampled_.begin(conv_.upsampled, first_row, rest);
+    }
+    if (w_.before.count > 0) before_.begin(w_.before, std::max(0, first_row - 1), rest);
   }
 
   // Output rows [y, end), at most strips() of them; y is a multiple of kTile.
   HWY_INLINE void compute(int y, int end) {
     const std::size_t strips = (static_cast<std::size_t>(end - y) + kTile - 1) / kTile;
-    for (std::size_t i = 0; i < kTile * strips + 2; ++i) load(y - 1 + static_cast<int>(i), i);
+    // The last two rows of the batch before are the first two of this one.
+    const std::size_t kept = loaded_ == y + 1 ? 2 : 0;
+    std::memmove(rows_, rows_ + kTile * strips_ * row_floats(),
+                 kept * row_floats() * sizeof(float));
+    const std::size_t count_rows = kTile * strips + 2;
+    for (std::size_t i = kept; i < count_rows; ++i) load(y - 1 + static_cast<int>(i), i);
+    loaded_ = y + static_cast<int>(kTile * strips) + 1;
     for (int row = y; row < end && conv_.upsampled.data != nullptr; ++row) {
       upsampled_.row(row, shares_ + static_cast<std::size_t>(row - y) * out_floats());
     }
@@ -124,11 +132,15 @@ class Batch {
     float* out = rows_ + i * row_floats();
     const std::size_t used = static_cast<std::size_t>(conv_.width + 2) * channels_;
     if (row > conv_.height) {
-      std::memset(out, 0, used * sizeof(float));  // below what any output looks at
-    } else {
+      std::memset(out, 0, row_floats() * sizeof(float));  // below what any output looks at
+    } else if (w_.before.count == 0 || row < 0 || row == conv_.height) {
       load_row(conv_, row, out);
+    } else {
+      before_.row(row, out + channels_);
+      std::memset(out, 0, channels_ * sizeof(float));
+      std::memset(out + used - channels_, 0, channels_ * sizeof(float));
     }
-    std::memset(out + used, 0, (row_floats() - used) * sizeof(float));
+    if (row_floats() > used) std::memset(out + used, 0, (row_floats() - used) * sizeof(float));
   }
 
   // The patch of tile t of strip s: [product][tile][channel].
@@ -207,6 +219,8 @@ class Batch {
   float* products_;     // [product, tile, columns]
   float* shares_;       // rows of the upsampled share
   UpsampledRows upsampled_;
+  ChainRows before_;
+  int loaded_ = -1;  // the row after the last one in rows_
 };
 
 void rows(const WinogradConv& winograd, int begin, int end, float* scratch) {
@@ -222,7 +236,9 @@ std::size_t scratch_floats(const WinogradConv& winograd) {
   const std::size_t strips = Batch::strips_of(conv);
   const auto channels = static_cast<std::size_t>(conv.channels);
   const auto columns = static_cast<std::size_t>(conv.weights.columns);
-  const std::size_t shares = kTile * strips * static_cast<std::size_t>(conv.width) * columns;
+  const bool has_share = conv.upsampled.data != nullptr;
+  const std::size_t shares =
+      has_share ? kTile * strips * static_cast<std::size_t>(conv.width) * columns : 0;
   return (kTile * strips + 2) * (kTile * across + 2) * channels +
          kWinogradProducts * strips * across * (channels + columns) + shares;
 }
@@ -239,7 +255,7 @@ HWY_EXPORT(scratch_floats);
 
 // Measured at XS, 640x192; below, the transforms and the fourfold weights cost what they save.
 bool winograd_pays(const Conv3x3& conv, int columns) {
-  return conv.stride == 1 && conv.channels >= 32 && columns >= 16 &&
+  return conv.stride == 1 && conv.channels >= 16 && columns >= 16 &&
          conv.height * conv.width >= 400;
 }
 
@@ -271,7 +287,8 @@ void pack_winograd(int channels, int columns, const std::function<float(int, int
 }
 
 std::size_t winograd_scratch(const WinogradConv& winograd) {
-  return HWY_DYNAMIC_DISPATCH(scratch_floats)(winograd) + winograd.conv.upsampled.scratch_floats();
+  return HWY_DYNAMIC_DISPATCH(scratch_floats)(winograd) + winograd.conv.upsampled.scratch_floats() +
+         conv3x3_scratch(winograd.before);
 }
 
 void winograd_rows(const WinogradConv& winograd, int begin, int end, float* scratch) {

@@ -14,6 +14,7 @@ inline constexpr int kWinogradTile = 4;       // output pixels of a tile, each w
 inline constexpr int kWinogradProducts = 36;  // of a 6x6 input tile, each with a matrix of its own
 
 struct WinogradConv {
+  ConvChain before = {{}, 0};     // makes the input row by row; count 0: it is in memory
   Conv3x3 conv;                   // but for its weights, of which only the bias counts
   const float* panels = nullptr;  // kWinogradProducts packed matrices, packed_floats() apart
 };

@@ -1,0 +1,128 @@
+// The rows of a 3x3 convolution, or of a chain of them, made one by one.
+#if defined(LCDM_KERNELS_CONV_INL_H) == defined(HWY_TARGET_TOGGLE)
+#ifdef LCDM_KERNELS_CONV_INL_H
+#undef LCDM_KERNELS_CONV_INL_H
+#else
+#define LCDM_KERNELS_CONV_INL_H
+#endif
+
+#include <algorithm>
+#include <cstddef>
+#include <cstring>
+
+#include "firmware/nn/kernels/conv.h"
+#include "firmware/nn/kernels/gemm-inl.h"
+#include "firmware/nn/kernels/rows-inl.h"
+#include "firmware/nn/kernels/upsampled-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lcdm::kernels {
+namespace HWY_NAMESPACE {
+
+// bias and activation of a row that has all its sums already.
+HWY_INLINE void finish_row(const Conv3x3& conv, const float* sums, float* out) {
+  const auto columns = static_cast<std::size_t>(conv.weights.columns);
+  const std::size_t count = static_cast<std::size_t>(conv.width) * columns;
+  with_activation(conv.activation, [&](auto kind) HWY_ATTR {
+    for (std::size_t at = 0; at < count; at += columns) {
+      for_channels(columns, [&](auto d, std::size_t c) HWY_ATTR {
+        const auto sum = hn::Add(hn::LoadU(d, sums + at + c), hn::LoadU(d, conv.weights.bias + c));
+        hn::StoreU(activate<decltype(kind)::value>(d, sum), d, out + at + c);
+      });
+    }
+  });
+}
+
+// The rows of one convolution, in order; its input comes from memory or from the rows of the one
+// before.
+class ConvRows {
+ public:
+  // `first` is the first row that will be asked for; `before` null: the input is in memory.
+  HWY_INLINE void begin(const Conv3x3& conv, ConvRows* before, int first, float* scratch) {
+    conv_ = &conv;
+    before_ = before;
+    row_floats_ = static_cast<std::size_t>(conv.width + 2) * conv.channels;
+    ring_ = scratch;
+    loaded_ = first * conv.stride - 1;
+    if (conv.upsampled.data == nullptr) return;
+    share_ = ring_ + 3 * row_floats_;
+    upsampled_.begin(conv.upsampled, first, share_ + out_floats());
+  }
+
+  // Row y, [width / stride, columns].
+  //
+  // In a padded row the three taps of a kernel row lie side by side: so one output pixel's input is
+  // three runs of 3 * channels floats, and the convolution is a product with those rows.
+  HWY_NOINLINE void row(int y, float* out) {
+    if (share_ != nullptr) upsampled_.row(y, share_);
+    if (conv_->input_count == 0) {
+      finish_row(*conv_, share_, out);
+    } else {
+      const int top = y * conv_->stride - 1;
+      for (; loaded_ <= top + 2; ++loaded_) load(loaded_);
+      const RowInput rows = {{slot(top), slot(top + 1), slot(top + 2)},
+                             3,
+                             3 * conv_->channels,
+                             static_cast<std::ptrdiff_t>(conv_->stride) * conv_->channels,
+                             conv_->width / conv_->stride};
+      multiply(rows, conv_->weights, {out, share_, conv_->weights.columns, conv_->activation});
+    }
+    if (conv_->output == nullptr) return;
+    float* kept = conv_->output + static_cast<std::size_t>(y) * out_floats();
+    if (kept != out) std::memcpy(kept, out, out_floats() * sizeof(float));
+  }
+
+ private:
+  std::size_t out_floats() const {
+    return static_cast<std::size_t>(conv_->width / conv_->stride) * conv_->weights.columns;
+  }
+  float* slot(int row) const {
+    return ring_ + static_cast<std::size_t>((row + 1) % 3) * row_floats_;
+  }
+
+  HWY_INLINE void load(int row) {
+    if (before_ == nullptr || row < 0 || row >= conv_->height) {
+      load_row(*conv_, row, slot(row));
+      return;
+    }
+    const auto pixel = static_cast<std::size_t>(conv_->channels);
+    before_->row(row, slot(row) + pixel);
+    std::memset(slot(row), 0, pixel * sizeof(float));
+    std::memset(slot(row) + row_floats_ - pixel, 0, pixel * sizeof(float));
+  }
+
+  const Conv3x3* conv_ = nullptr;
+  ConvRows* before_ = nullptr;
+  std::size_t row_floats_ = 0;
+  float* ring_ = nullptr;   // three padded input rows
+  int loaded_ = 0;          // the next one to load
+  float* share_ = nullptr;  // a row of the upsampled share; null: there is none
+  UpsampledRows upsampled_;
+};
+
+// The rows of a chain's last convolution, in order.
+class ChainRows {
+ public:
+  // `first` is the first row that will be asked for. Scratch: conv3x3_scratch floats.
+  HWY_INLINE void begin(const ConvChain& chain, int first, float* scratch) {
+    last_ = static_cast<std::size_t>(chain.count) - 1;
+    for (std::size_t i = last_ + 1; i-- > 0;) {
+      const Conv3x3& conv = chain.convs[i];
+      rows_[i].begin(conv, i > 0 ? &rows_[i - 1] : nullptr, first, scratch);
+      scratch += conv.scratch_floats();
+      first = std::max(0, first * conv.stride - 1);
+    }
+  }
+
+  HWY_INLINE void row(int y, float* out) { rows_[last_].row(y, out); }
+
+ private:
+  ConvRows rows_[ConvChain::kMost];
+  std::size_t last_ = 0;
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lcdm::kernels
+HWY_AFTER_NAMESPACE();
+
+#endif
