@@ -5,6 +5,7 @@
 
 #include "app/commands/commands.h"
 #include "app/exit_code.h"
+#include "firmware/nn/kernels/isa.h"
 
 namespace {
 
@@ -16,10 +17,20 @@ void quiet_libraries() {
   setenv("OPENCV_IO_MAX_IMAGE_PIXELS", "100000000", 0);  // NOLINT(concurrency-mt-unsafe)
 }
 
+// LCDM_ISA=NAME: the kernels' instruction set, to compare them or to avoid one.
+lcdm::Status choose_isa() {
+  const char* name = std::getenv("LCDM_ISA");  // NOLINT(concurrency-mt-unsafe): no threads yet
+  return name == nullptr ? lcdm::Status::ok() : lcdm::kernels::force_isa(name);
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
   quiet_libraries();
+  if (const lcdm::Status status = choose_isa(); !status) {
+    std::fprintf(stderr, "lcdm: %s\n", status.text());
+    return lcdm::kExitUsage;
+  }
   try {
     CLI::App program("LCDM-Mono: depth from one camera", "lcdm");
     program.require_subcommand(1);

@@ -13,6 +13,7 @@
 #include "app/report.h"
 #include "firmware/base/alloc_watch.h"
 #include "firmware/base/os.h"
+#include "firmware/nn/kernels/isa.h"
 
 namespace lcdm {
 namespace {
@@ -107,6 +108,7 @@ void print_json(const BenchResult& result) {
       {"width", stats.width},
       {"height", stats.height},
       {"threads", stats.threads},
+      {"isa", kernels::isa_name()},
       {"frames", result.milliseconds.size()},
       {"latency_ms",
        {{"p50", result.percentile(50)},
@@ -127,7 +129,7 @@ void print_text(const BenchResult& result) {
   std::printf("model      %s\n", stats.model_name.c_str());
   std::printf("input      %dx%d, %.3f GMAC\n", stats.width, stats.height,
               static_cast<double>(stats.macs) * 1e-9);
-  std::printf("threads    %d\n", stats.threads);
+  std::printf("threads    %d, kernels for %s\n", stats.threads, kernels::isa_name());
   std::printf("latency    p50 %.1f ms, p95 %.1f ms, p99 %.1f ms over %zu frames\n",
               result.percentile(50), result.percentile(95), result.percentile(99),
               result.milliseconds.size());

@@ -350,6 +350,13 @@ TEST_F(Cli, BenchRefusesASizeTheNetworkCannotHave) {
   expect_refusal({"bench", "--size", "100x64", "--model", model_.string()}, 78, "32");
 }
 
+TEST_F(Cli, AnUnknownInstructionSetIsRefusedWithThoseThereAre) {
+  test::Program child("/usr/bin/env", {"LCDM_ISA=avx9", LCDM_PROGRAM, "version"});
+  EXPECT_EQ(child.wait(20), 2) << child.text();
+  EXPECT_THAT(child.text(), HasSubstr("LCDM_ISA=avx9"));
+  EXPECT_THAT(child.text(), HasSubstr("there are"));
+}
+
 TEST_F(Cli, InspectShowsTheModelLayerByLayer) {
   const Outcome outcome = lcdm({"inspect", "model", model_.string()});
   EXPECT_EQ(outcome.status, 0);

@@ -1,0 +1,46 @@
+#include "firmware/nn/kernels/isa.h"
+
+#include <strings.h>
+
+// clang-format off
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "firmware/nn/kernels/isa.cpp"
+#include "firmware/nn/kernels/simd.h"
+#include "hwy/foreach_target.h"
+#include "hwy/highway.h"
+// clang-format on
+
+HWY_BEFORE_NAMESPACE();
+namespace lcdm::kernels {
+namespace HWY_NAMESPACE {
+
+const char* own_name() { return hwy::TargetName(HWY_TARGET); }
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lcdm::kernels
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace lcdm::kernels {
+
+HWY_EXPORT(own_name);
+
+const char* isa_name() { return HWY_DYNAMIC_DISPATCH(own_name)(); }
+
+Status force_isa(const std::string& name) {
+  std::string known;
+  for (const auto target : hwy::SupportedAndGeneratedTargets()) {
+    const char* each = hwy::TargetName(target);
+    if (strcasecmp(each, name.c_str()) == 0) {
+      hwy::SetSupportedTargetsForTest(target);
+      return Status::ok();
+    }
+    known += (known.empty() ? "" : ", ") + std::string(each);
+  }
+  return Status::error(StatusCode::kInvalidInput,
+                       "LCDM_ISA=%.40s: no such instruction set here; there are %s", name.c_str(),
+                       known.c_str());
+}
+
+}  // namespace lcdm::kernels
+#endif  // HWY_ONCE

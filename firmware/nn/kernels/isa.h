@@ -1,0 +1,18 @@
+// Which instruction set the kernels run with: the processor's best, unless told otherwise.
+#pragma once
+
+#include <string>
+
+#include "firmware/base/status.h"
+
+namespace lcdm::kernels {
+
+// Highway's name of the one in use: AVX3 (which is AVX-512), AVX2, SSE4, NEON, ...
+const char* isa_name();
+
+// All kernels run with the one called so, in any case; to be called before the first of them runs.
+// kInvalidInput: this processor or this program has none of that name; the text says which there
+// are.
+Status force_isa(const std::string& name);
+
+}  // namespace lcdm::kernels
