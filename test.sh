@@ -3,7 +3,7 @@
 #
 #   ./test.sh          every test, the sanitizer subset and the format check
 #   ./test.sh --all    the same, then the long ones: everything under the sanitizers, clang-tidy,
-#                      g++-11
+#                      g++-11, the kernels for Arm under QEMU (its libraries are 1 GB)
 #
 # Prints how long each stage took. Stops at the first stage that fails.
 set -euo pipefail
@@ -76,6 +76,18 @@ build_board() {
     cmake --build build/gcc-11
 }
 
+# What depends on the processor, for 64-bit Arm under QEMU.
+arm64_programs=(kernel_tests engine_reference_tests network_tests engine_tests)
+build_arm64() {
+  cmake --preset arm64 >/dev/null && cmake --build --preset arm64 --target "${arm64_programs[@]}" lcdm
+}
+run_arm64() {
+  local program
+  for program in "${arm64_programs[@]}"; do
+    qemu-aarch64-static -L build/sysroot-arm64 "build/arm64/bin/$program" --gtest_brief=1 || return
+  done
+}
+
 stage 'install' systemd/install-packages.sh run test train
 stage 'npm packages' npm_packages
 stage 'format' check_format
@@ -90,4 +102,7 @@ if $all; then
   stage 'thread sanitizer tests' run_tests tsan -LE browser
   stage 'clang-tidy' check_tidy
   stage 'g++-11 build' build_board
+  stage 'arm64 libraries' tests/arm64/sysroot.sh
+  stage 'arm64 build' build_arm64
+  stage 'arm64 tests under QEMU' run_arm64
 fi
