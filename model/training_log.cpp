@@ -26,7 +26,9 @@ std::FILE* open_to_append(const std::filesystem::path& path, std::int64_t last,
                           const std::string& header) {
   const std::string rows = rows_until(path, last);
   std::FILE* file = std::fopen(path.c_str(), "w");
-  if (file != nullptr) std::fputs((rows.empty() ? header + "\n" : rows).c_str(), file);
+  if (file == nullptr) return nullptr;
+  std::fputs((rows.empty() ? header + "\n" : rows).c_str(), file);
+  std::fflush(file);  // what was there must survive whatever comes next
   return file;
 }
 

@@ -178,7 +178,11 @@ TEST(TrainingLog, GoesOnFromTheStepOfTheCheckpoint) {
   const fs::path folder = scratch("lcdm-log");
   fs::create_directories(folder);
   std::ofstream(folder / "curve.csv") << "step,a\n25,1\n50,2\n75,3\n10";
-  { const TrainingLog log(folder, 50, 100); }
+  {
+    const TrainingLog log(folder, 50, 100);
+    EXPECT_EQ(read_csv((folder / "curve.csv").string())->rows.size(), 2U)
+        << "kept on the disk before anything is added";
+  }
   const Result<CsvTable> curve = read_csv((folder / "curve.csv").string());
   ASSERT_TRUE(curve) << curve.status().text();
   EXPECT_EQ(*curve->numbers("step"), (std::vector<double>{25, 50}));
