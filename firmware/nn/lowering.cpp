@@ -12,6 +12,7 @@
 #include "firmware/nn/kernels/winograd.h"
 #include "firmware/nn/program.h"
 #include "firmware/nn/sampler.h"
+#include "firmware/nn/weight_store.h"
 
 namespace lcdm {
 namespace {
@@ -47,10 +48,10 @@ class Lowering {
         index_(index),
         layer_(network.layer(index)),
         output_(tensors[static_cast<std::size_t>(index)].data()),
-        model_(model),
         tensors_(tensors),
         depth_scale_(depth_scale),
         constants_(constants),
+        weights_(model, constants),
         steps_(steps) {}
 
   Status lower() {
@@ -105,90 +106,6 @@ class Lowering {
     return Status::ok();
   }
 
-  std::vector<float> load(const Parameter& parameter) const {
-    const auto found = model_.tensors().find(parameter.name);
-    LCDM_CHECK(found != model_.tensors().end());  // check_weights has seen it
-    std::vector<float> values(found->second.count);
-    model_.read(found->second, values);
-    return values;
-  }
-  std::vector<float> load(std::size_t parameter) const {
-    return load(layer_.parameters[parameter]);
-  }
-
-  Status store(std::span<const float> values, const float*& out) {
-    Result<std::span<float>> piece = constants_.add(values.size());
-    if (!piece) return piece.status();
-    std::copy(values.begin(), values.end(), piece->begin());
-    out = piece->data();
-    return Status::ok();
-  }
-
-  // A parameter as it is in the file.
-  Status store(const Parameter& parameter, const float*& out) {
-    return store(load(parameter), out);
-  }
-  Status store(std::size_t parameter, const float*& out) {
-    return store(layer_.parameters[parameter], out);
-  }
-
-  // [channels, 1, 3, 3] or [1, channels, 3, 3] in the file becomes [9, channels].
-  std::vector<float> load_taps(const Parameter& parameter) const {
-    const std::vector<float> values = load(parameter);
-    const std::size_t channels = values.size() / 9;
-    std::vector<float> taps(values.size());
-    for (std::size_t c = 0; c < channels; ++c) {
-      for (std::size_t t = 0; t < 9; ++t) taps[t * channels + c] = values[c * 9 + t];
-    }
-    return taps;
-  }
-  Status store_taps(const Parameter& parameter, const float*& out) {
-    return store(load_taps(parameter), out);
-  }
-
-  Status pack(int depth, int columns, const std::function<float(int, int)>& weight,
-              std::span<const float> bias, kernels::PackedMatrix& out) {
-    Result<std::span<float>> piece = constants_.add(kernels::packed_floats(depth, columns));
-    if (!piece) return piece.status();
-    out = kernels::pack_matrix(depth, columns, weight, bias, *piece);
-    return Status::ok();
-  }
-
-  // The last `used` channels of a 3x3 weight [columns, channels, 3, 3]: those before are upsampled.
-  struct Filters {
-    std::vector<float> values;
-    int channels = 0;
-    int used = 0;
-
-    float at(int c, int n, int tap) const {
-      const int filter = n * channels + channels - used + c;
-      return values[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(tap)];
-    }
-  };
-  Filters filters_of(const Layer& layer, int used) const {
-    return {load(layer.parameters[0]), static_cast<int>(layer.parameters[0].shape[1]), used};
-  }
-
-  // With the bias; k = tap * channels + c.
-  Status pack3x3(const Layer& layer, kernels::Conv3x3& args) {
-    const Filters filters = filters_of(layer, args.channels);
-    const auto at = [&](int k, int n) { return filters.at(k % filters.used, n, k / filters.used); };
-    return pack(9 * filters.used, layer.output.channels, at, bias_of(layer), args.weights);
-  }
-
-  // Of a convolution or linear layer; empty where it has none.
-  std::vector<float> bias_of(const Layer& layer) const {
-    return layer.parameters.size() > 1 ? load(layer.parameters[1]) : std::vector<float>{};
-  }
-
-  // The weight [columns, depth] and, where there is one, the bias of a 1x1 convolution or a linear
-  // layer.
-  Status pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out) {
-    const std::vector<float> weight = load(layer.parameters[0]);
-    const auto at = [&](int k, int n) { return weight[static_cast<std::size_t>(n * depth + k)]; };
-    return pack(depth, layer.output.channels, at, bias_of(layer), out);
-  }
-
   // ---- the layers ----
 
   struct MatrixArgs {
@@ -201,7 +118,7 @@ class Lowering {
     const int depth = input_shape().channels;
     const int columns = layer_.output.channels;
     MatrixArgs args;
-    LCDM_RETURN_IF_ERROR(pack_matrix(layer_, depth, args.weights));
+    LCDM_RETURN_IF_ERROR(weights_.pack_matrix(layer_, depth, args.weights));
     args.input = {{input()}, 1, depth, depth, layer_.output.height * layer_.output.width};
     args.output = {output_, layer_.residual >= 0 ? data(layer_.residual) : nullptr, columns,
                    layer_.activation};
@@ -214,20 +131,6 @@ class Lowering {
       kernels::multiply_rows(part.input, part.weights, part.output);
     };
     return add_step(args, kernel, args.input.rows, 8);
-  }
-
-  // Its part of a 3x3 weight, one 1x1 convolution for each tap.
-  Status add_upsampled(const Layer& layer, kernels::Conv3x3& args) {
-    const std::vector<float> weight = load(layer.parameters[0]);
-    const Shape& in = network_.layer(layer.inputs[0].layer).output;
-    const int columns = layer.output.channels;
-    const auto channels = static_cast<int>(layer.parameters[0].shape[1]);
-    args.upsampled = {data(layer.inputs[0].layer), in.height, in.width, in.channels, {}};
-    const auto at = [&](int k, int n) {
-      const int filter = n % columns * channels + k;
-      return weight[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(n / columns)];
-    };
-    return pack(in.channels, 9 * columns, at, {}, args.upsampled.taps);
   }
 
   void add_input(const Source& source, kernels::Conv3x3& args) const {
@@ -250,7 +153,9 @@ class Lowering {
     args.output = tensors_[static_cast<std::size_t>(index)].data();
     for (const Source& source : layer.inputs) {
       if (source.upsampling == Upsampling::kBilinear) {  // the first, if any
-        LCDM_RETURN_IF_ERROR(add_upsampled(layer, args));
+        const Shape& in = network_.layer(source.layer).output;
+        args.upsampled = {data(source.layer), in.height, in.width, in.channels, {}};
+        LCDM_RETURN_IF_ERROR(weights_.pack_upsampled(layer, in.channels, args.upsampled.taps));
       } else {
         add_input(source, args);
       }
@@ -259,19 +164,7 @@ class Lowering {
   }
 
   Status winograd(kernels::WinogradConv& args) {
-    const int columns = layer_.output.channels;
-    const Filters filters = filters_of(layer_, args.conv.channels);
-    Result<std::span<float>> panels =
-        constants_.add(kernels::winograd_floats(filters.used, columns));
-    if (!panels) return panels.status();
-    kernels::pack_winograd(
-        filters.used, columns, [&filters](int c, int n, int tap) { return filters.at(c, n, tap); },
-        *panels);
-    args.panels = panels->data();
-    args.conv.weights.columns = columns;
-    std::vector<float> bias = bias_of(layer_);
-    bias.resize(static_cast<std::size_t>(columns));  // zeros where there is none
-    LCDM_RETURN_IF_ERROR(store(bias, args.conv.weights.bias));
+    LCDM_RETURN_IF_ERROR(weights_.pack_winograd(layer_, args));
     return add_step(args, &kernels::winograd_rows, layer_.output.height, kernels::kWinogradTile,
                     kernels::winograd_scratch(args));
   }
@@ -292,7 +185,7 @@ class Lowering {
         kernels::WinogradConv args{chain, conv, nullptr};
         return winograd(args);
       }
-      LCDM_RETURN_IF_ERROR(pack3x3(network_.layer(index), conv));
+      LCDM_RETURN_IF_ERROR(weights_.pack3x3(network_.layer(index), conv.channels, conv.weights));
       ++chain.count;
     }
     return add_step(chain, &kernels::conv3x3_rows, layer_.output.height, 1,
@@ -316,10 +209,10 @@ class Lowering {
     args.output = output_;
     args.expanded = tensors_[static_cast<std::size_t>(filter.inputs[0].layer)].data();
     args.filtered = tensors_[static_cast<std::size_t>(source(0).layer)].data();
-    LCDM_RETURN_IF_ERROR(pack_matrix(expand, in.channels, args.expand));
-    LCDM_RETURN_IF_ERROR(store_taps(filter.parameters[0], args.taps));
-    LCDM_RETURN_IF_ERROR(store(filter.parameters[1], args.taps_bias));
-    LCDM_RETURN_IF_ERROR(pack_matrix(layer_, args.hidden, args.project));
+    LCDM_RETURN_IF_ERROR(weights_.pack_matrix(expand, in.channels, args.expand));
+    LCDM_RETURN_IF_ERROR(weights_.store_taps(filter.parameters[0], args.taps));
+    LCDM_RETURN_IF_ERROR(weights_.store(filter.parameters[1], args.taps_bias));
+    LCDM_RETURN_IF_ERROR(weights_.pack_matrix(layer_, args.hidden, args.project));
     return add_step(args, &kernels::inverted_residual_rows, layer_.output.height, 1,
                     kernels::inverted_residual_scratch(args));
   }
@@ -359,8 +252,8 @@ class Lowering {
     args.channels = layer_.output.channels;
     args.epsilon = Network::kNormEpsilon;
     args.output = output_;
-    LCDM_RETURN_IF_ERROR(store(0, args.weight));
-    LCDM_RETURN_IF_ERROR(store(1, args.bias));
+    LCDM_RETURN_IF_ERROR(weights_.store(layer_.parameters[0], args.weight));
+    LCDM_RETURN_IF_ERROR(weights_.store(layer_.parameters[1], args.bias));
     const auto kernel = [](const kernels::LayerNorm& a, int begin, int end, float*) {
       kernels::layer_norm_rows(a, begin, end);
     };
@@ -386,8 +279,8 @@ class Lowering {
     args.epsilon = Network::kNormEpsilon;
     args.activation = layer_.activation;
     args.output = output_;
-    LCDM_RETURN_IF_ERROR(store(0, args.weight));
-    LCDM_RETURN_IF_ERROR(store(1, args.bias));
+    LCDM_RETURN_IF_ERROR(weights_.store(layer_.parameters[0], args.weight));
+    LCDM_RETURN_IF_ERROR(weights_.store(layer_.parameters[1], args.bias));
     const auto rows = static_cast<std::size_t>(out.height);
     Result<std::span<float>> sums =
         constants_.add(rows * 2 * static_cast<std::size_t>(out.channels));
@@ -403,9 +296,7 @@ class Lowering {
     return add_step(args, apply, out.height);
   }
 
-  // Everything of a step's hidden layer; composed in double.
   Status make_head_step(const Layer& layer, kernels::HeadStep& out) {
-    const auto channels = static_cast<std::size_t>(layer.output.channels);
     const int state = layer.inputs[1].layer;
     const bool starts_at_zero = network_.layer(state).kind == LayerKind::kStart &&
                                 network_.config().start == StartKind::kZeros;
@@ -415,41 +306,7 @@ class Lowering {
     out.width = layer.output.width;
     out.channels = layer.output.channels;
     out.relu = layer.activation == Activation::kRelu;
-
-    const std::vector<float> embed = load(layer.parameters[0]);
-    const std::vector<float> time = load(layer.parameters[1]);
-    const std::vector<float> conv1 = load(layer.parameters[2]);
-    const std::vector<float> scale = load(layer.parameters[3]);
-    const std::vector<float> bias = load(layer.parameters[4]);
-    std::vector<float> composed(25 * channels);
-    std::vector<float> constant(channels);
-    std::vector<float> taps(9 * channels * channels);
-    for (std::size_t n = 0; n < channels; ++n) {
-      const auto s = static_cast<double>(scale[n]);
-      double sums[25] = {};
-      auto steady = static_cast<double>(bias[n]);
-      for (std::size_t c = 0; c < channels; ++c) {
-        for (std::size_t t = 0; t < 9; ++t) {
-          const float weight = conv1[(n * channels + c) * 9 + t];
-          taps[(t * channels + c) * channels + n] = weight;
-          const double scaled = s * static_cast<double>(weight);
-          steady += scaled * static_cast<double>(time[c]);
-          for (std::size_t e = 0; e < 9; ++e) {
-            const std::size_t at = 5 * (t / 3 + e / 3) + t % 3 + e % 3;
-            sums[at] += scaled * static_cast<double>(embed[c * 9 + e]);
-          }
-        }
-      }
-      constant[n] = static_cast<float>(steady);
-      for (std::size_t i = 0; i < 25; ++i) composed[i * channels + n] = static_cast<float>(sums[i]);
-    }
-    LCDM_RETURN_IF_ERROR(store(composed, out.composed));
-    LCDM_RETURN_IF_ERROR(store(constant, out.constant));
-    LCDM_RETURN_IF_ERROR(store(taps, out.conv1));
-    LCDM_RETURN_IF_ERROR(store(scale, out.scale));
-    LCDM_RETURN_IF_ERROR(store(bias, out.bias));
-    LCDM_RETURN_IF_ERROR(store(time, out.time));
-    return store_taps(layer.parameters[0], out.embed);
+    return weights_.pack_head_step(layer, out);
   }
 
   // Only where a norm needs it whole.
@@ -476,13 +333,7 @@ class Lowering {
       LCDM_RETURN_IF_ERROR(make_head_step(hidden, args.step));
       args.step.hidden = tensors_[static_cast<std::size_t>(source(0).layer)].data();
     }
-    Result<std::span<float>> packed =
-        constants_.add(kernels::update_weight_floats(args.step.channels));
-    if (!packed) return packed.status();
-    kernels::pack_update_weights(load_taps(layer_.parameters[0]).data(), args.step.channels,
-                                 packed->data());
-    args.weights = packed->data();
-    args.bias = load(1).front();
+    LCDM_RETURN_IF_ERROR(weights_.pack_update(layer_, args));
     args.p = static_cast<float>(step.p);
     args.q = static_cast<float>(step.q);
     args.state = input(1);
@@ -505,10 +356,10 @@ class Lowering {
   int index_;
   const Layer& layer_;
   float* output_;
-  const ModelFile& model_;
   const std::vector<std::span<float>>& tensors_;
   float depth_scale_;
   ConstantStore& constants_;
+  WeightStore weights_;
   std::vector<std::unique_ptr<Step>>& steps_;
 };
 

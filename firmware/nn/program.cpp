@@ -8,8 +8,6 @@
 namespace lcdm {
 namespace {
 
-constexpr std::size_t kBlockBytes = 1U << 20;
-
 std::size_t aligned(std::size_t bytes) {
   return (bytes + MemoryPlan::kAlignment - 1) / MemoryPlan::kAlignment * MemoryPlan::kAlignment;
 }
@@ -26,20 +24,6 @@ Result<std::span<float>> make_start(const Network& network, ConstantStore& const
 }
 
 }  // namespace
-
-Result<std::span<float>> ConstantStore::add(std::size_t count) {
-  const std::size_t bytes = aligned(count * sizeof(float));
-  if (blocks_.empty() || blocks_.back().bytes() - used_ < bytes) {
-    Result<Arena> block = Arena::allocate(std::max(bytes, kBlockBytes));
-    if (!block) return block.status();
-    blocks_.push_back(std::move(*block));
-    used_ = 0;
-  }
-  const std::span<float> piece = blocks_.back().floats(used_, count);
-  used_ += bytes;
-  bytes_ += bytes;
-  return piece;
-}
 
 Result<Program> Program::build(const Network& network, const ModelFile& model,
                                const Options& options) {

@@ -9,26 +9,13 @@
 
 #include "firmware/base/status.h"
 #include "firmware/nn/arena.h"
+#include "firmware/nn/constant_store.h"
 #include "firmware/nn/model_file.h"
 #include "firmware/nn/network.h"
 #include "firmware/nn/network_plan.h"
 #include "firmware/nn/worker_pool.h"
 
 namespace lcdm {
-
-// Memory that lives as long as the program: packed weights and constants. Hands out pieces of
-// large blocks; never gives one back before its own end.
-class ConstantStore {
- public:
-  // Zeroed and aligned to MemoryPlan::kAlignment.
-  Result<std::span<float>> add(std::size_t count);
-  std::size_t bytes() const { return bytes_; }  // handed out
-
- private:
-  std::vector<Arena> blocks_;
-  std::size_t used_ = 0;  // bytes of the last block
-  std::size_t bytes_ = 0;
-};
 
 // One kernel call, split among workers. Borrowed pointers into the program's memory.
 class Step {

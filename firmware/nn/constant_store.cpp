@@ -1,0 +1,25 @@
+#include "firmware/nn/constant_store.h"
+
+#include <algorithm>
+
+#include "firmware/nn/memory_plan.h"
+
+namespace lcdm {
+
+Result<std::span<float>> ConstantStore::add(std::size_t count) {
+  constexpr std::size_t kBlockBytes = 1U << 20;
+  constexpr std::size_t kAlignment = MemoryPlan::kAlignment;
+  const std::size_t bytes = (count * sizeof(float) + kAlignment - 1) / kAlignment * kAlignment;
+  if (blocks_.empty() || blocks_.back().bytes() - used_ < bytes) {
+    Result<Arena> block = Arena::allocate(std::max(bytes, kBlockBytes));
+    if (!block) return block.status();
+    blocks_.push_back(std::move(*block));
+    used_ = 0;
+  }
+  const std::span<float> piece = blocks_.back().floats(used_, count);
+  used_ += bytes;
+  bytes_ += bytes;
+  return piece;
+}
+
+}  // namespace lcdm

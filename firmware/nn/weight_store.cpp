@@ -1,0 +1,167 @@
+#include "firmware/nn/weight_store.h"
+
+#include <algorithm>
+
+namespace lcdm {
+namespace {
+
+// A 3x3 weight [columns, channels, 3, 3], of which the channels from `first` on are meant.
+struct Filters {
+  std::vector<float> values;
+  int channels = 0;
+  int first = 0;
+
+  float at(int c, int n, int tap) const {
+    const int filter = n * channels + first + c;
+    return values[static_cast<std::size_t>(filter) * 9 + static_cast<std::size_t>(tap)];
+  }
+};
+
+int input_channels(const Layer& layer) { return static_cast<int>(layer.parameters[0].shape[1]); }
+
+// conv1 of embed's taps and of the time, with the scale, as one 5x5 convolution and one constant.
+struct ComposedHead {
+  std::vector<float> composed;  // [25, channels]
+  std::vector<float> constant;  // [channels]
+  std::vector<float> conv1;     // [9, channels in, channels out]
+};
+struct HeadParameters {
+  std::vector<float> embed, time, conv1, scale, bias;
+};
+ComposedHead compose(const HeadParameters& p) {
+  const std::size_t channels = p.scale.size();
+  ComposedHead out{std::vector<float>(25 * channels), std::vector<float>(channels),
+                   std::vector<float>(9 * channels * channels)};
+  for (std::size_t n = 0; n < channels; ++n) {
+    double taps[25] = {};
+    auto constant = static_cast<double>(p.bias[n]);
+    for (std::size_t c = 0; c < channels; ++c) {
+      for (std::size_t t = 0; t < 9; ++t) {
+        const float weight = p.conv1[(n * channels + c) * 9 + t];
+        out.conv1[(t * channels + c) * channels + n] = weight;
+        const double scaled = static_cast<double>(p.scale[n]) * static_cast<double>(weight);
+        constant += scaled * static_cast<double>(p.time[c]);
+        for (std::size_t e = 0; e < 9; ++e) {
+          const std::size_t at = 5 * (t / 3 + e / 3) + t % 3 + e % 3;
+          taps[at] += scaled * static_cast<double>(p.embed[c * 9 + e]);
+        }
+      }
+    }
+    out.constant[n] = static_cast<float>(constant);
+    for (std::size_t i = 0; i < 25; ++i) {
+      out.composed[i * channels + n] = static_cast<float>(taps[i]);
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
+std::vector<float> WeightStore::load(const Parameter& parameter) const {
+  const auto found = model_.tensors().find(parameter.name);
+  LCDM_CHECK(found != model_.tensors().end());  // check_weights has seen it
+  std::vector<float> values(found->second.count);
+  model_.read(found->second, values);
+  return values;
+}
+
+std::vector<float> WeightStore::load_taps(const Parameter& parameter) const {
+  const std::vector<float> values = load(parameter);
+  const std::size_t channels = values.size() / 9;
+  std::vector<float> taps(values.size());
+  for (std::size_t c = 0; c < channels; ++c) {
+    for (std::size_t t = 0; t < 9; ++t) taps[t * channels + c] = values[c * 9 + t];
+  }
+  return taps;
+}
+
+// Empty where the layer has none.
+std::vector<float> WeightStore::bias_of(const Layer& layer) const {
+  return layer.parameters.size() > 1 ? load(layer.parameters[1]) : std::vector<float>{};
+}
+
+Status WeightStore::store(std::span<const float> values, const float*& out) {
+  Result<std::span<float>> piece = constants_.add(values.size());
+  if (!piece) return piece.status();
+  std::copy(values.begin(), values.end(), piece->begin());
+  out = piece->data();
+  return Status::ok();
+}
+
+Status WeightStore::pack(int depth, int columns, const std::function<float(int, int)>& weight,
+                         std::span<const float> bias, kernels::PackedMatrix& out) {
+  Result<std::span<float>> piece = constants_.add(kernels::packed_floats(depth, columns));
+  if (!piece) return piece.status();
+  out = kernels::pack_matrix(depth, columns, weight, bias, *piece);
+  return Status::ok();
+}
+
+Status WeightStore::store(const Parameter& parameter, const float*& out) {
+  return store(load(parameter), out);
+}
+
+Status WeightStore::store_taps(const Parameter& parameter, const float*& out) {
+  return store(load_taps(parameter), out);
+}
+
+Status WeightStore::pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out) {
+  const std::vector<float> weight = load(layer.parameters[0]);
+  const auto at = [&](int k, int n) { return weight[static_cast<std::size_t>(n * depth + k)]; };
+  return pack(depth, layer.output.channels, at, bias_of(layer), out);
+}
+
+Status WeightStore::pack3x3(const Layer& layer, int used, kernels::PackedMatrix& out) {
+  const int channels = input_channels(layer);
+  const Filters filters{load(layer.parameters[0]), channels, channels - used};
+  const auto at = [&](int k, int n) { return filters.at(k % used, n, k / used); };
+  return pack(9 * used, layer.output.channels, at, bias_of(layer), out);
+}
+
+Status WeightStore::pack_upsampled(const Layer& layer, int count, kernels::PackedMatrix& out) {
+  const int columns = layer.output.channels;
+  const Filters filters{load(layer.parameters[0]), input_channels(layer), 0};
+  const auto at = [&](int k, int n) { return filters.at(k, n % columns, n / columns); };
+  return pack(count, 9 * columns, at, {}, out);
+}
+
+Status WeightStore::pack_winograd(const Layer& layer, kernels::WinogradConv& out) {
+  const int columns = layer.output.channels;
+  const int used = out.conv.channels;
+  const int channels = input_channels(layer);
+  const Filters filters{load(layer.parameters[0]), channels, channels - used};
+  Result<std::span<float>> panels = constants_.add(kernels::winograd_floats(used, columns));
+  if (!panels) return panels.status();
+  kernels::pack_winograd(
+      used, columns, [&filters](int c, int n, int tap) { return filters.at(c, n, tap); }, *panels);
+  out.panels = panels->data();
+  out.conv.weights.columns = columns;
+  std::vector<float> bias = bias_of(layer);
+  bias.resize(static_cast<std::size_t>(columns));  // zeros where there is none
+  return store(bias, out.conv.weights.bias);
+}
+
+Status WeightStore::pack_head_step(const Layer& layer, kernels::HeadStep& out) {
+  const HeadParameters given{load(layer.parameters[0]), load(layer.parameters[1]),
+                             load(layer.parameters[2]), load(layer.parameters[3]),
+                             load(layer.parameters[4])};
+  const ComposedHead made = compose(given);
+  LCDM_RETURN_IF_ERROR(store(made.composed, out.composed));
+  LCDM_RETURN_IF_ERROR(store(made.constant, out.constant));
+  LCDM_RETURN_IF_ERROR(store(made.conv1, out.conv1));
+  LCDM_RETURN_IF_ERROR(store(given.scale, out.scale));
+  LCDM_RETURN_IF_ERROR(store(given.bias, out.bias));
+  LCDM_RETURN_IF_ERROR(store(given.time, out.time));
+  return store_taps(layer.parameters[0], out.embed);
+}
+
+Status WeightStore::pack_update(const Layer& layer, kernels::HeadUpdate& out) {
+  const int channels = out.step.channels;
+  Result<std::span<float>> packed = constants_.add(kernels::update_weight_floats(channels));
+  if (!packed) return packed.status();
+  kernels::pack_update_weights(load_taps(layer.parameters[0]).data(), channels, packed->data());
+  out.weights = packed->data();
+  out.bias = load(layer.parameters[1]).front();
+  return Status::ok();
+}
+
+}  // namespace lcdm

@@ -1,0 +1,57 @@
+// Parameters on their way from the model file to what the kernels read: transposed, packed,
+// composed.
+#pragma once
+
+#include <functional>
+#include <span>
+#include <vector>
+
+#include "firmware/base/status.h"
+#include "firmware/nn/constant_store.h"
+#include "firmware/nn/kernels/head.h"
+#include "firmware/nn/kernels/matrix.h"
+#include "firmware/nn/kernels/winograd.h"
+#include "firmware/nn/model_file.h"
+#include "firmware/nn/network.h"
+
+namespace lcdm {
+
+// Borrows the model file, which has passed Network::check_weights, and the constants. Everything
+// that writes fails with kOutOfMemory alone.
+class WeightStore {
+ public:
+  WeightStore(const ModelFile& model, ConstantStore& constants)
+      : model_(model), constants_(constants) {}
+
+  // A parameter as it is in the file.
+  Status store(const Parameter& parameter, const float*& out);
+  // [channels, 1, 3, 3] or [1, channels, 3, 3] becomes [9, channels].
+  Status store_taps(const Parameter& parameter, const float*& out);
+
+  // The weight [columns, depth] and, where there is one, the bias of a 1x1 convolution or a linear
+  // layer.
+  Status pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out);
+  // The last `used` input channels of a 3x3 convolution, with its bias.
+  Status pack3x3(const Layer& layer, int used, kernels::PackedMatrix& out);
+  // The first `count`, one 1x1 convolution for each tap.
+  Status pack_upsampled(const Layer& layer, int count, kernels::PackedMatrix& out);
+  // The last conv.channels, transformed, with the bias.
+  Status pack_winograd(const Layer& layer, kernels::WinogradConv& out);
+  // All weights of a sampler step's hidden layer; composed in double.
+  Status pack_head_step(const Layer& layer, kernels::HeadStep& out);
+  // Those of the convolution after it; step.channels is set.
+  Status pack_update(const Layer& layer, kernels::HeadUpdate& out);
+
+ private:
+  std::vector<float> load(const Parameter& parameter) const;
+  std::vector<float> load_taps(const Parameter& parameter) const;
+  std::vector<float> bias_of(const Layer& layer) const;
+  Status store(std::span<const float> values, const float*& out);
+  Status pack(int depth, int columns, const std::function<float(int, int)>& weight,
+              std::span<const float> bias, kernels::PackedMatrix& out);
+
+  const ModelFile& model_;
+  ConstantStore& constants_;
+};
+
+}  // namespace lcdm
