@@ -1,6 +1,8 @@
 #include "firmware/nn/kernels/isa.h"
 
-#include <strings.h>
+#include <algorithm>
+#include <cctype>
+#include <string_view>
 
 // clang-format off
 #undef HWY_TARGET_INCLUDE
@@ -25,13 +27,23 @@ namespace lcdm::kernels {
 
 HWY_EXPORT(own_name);
 
+namespace {
+
+bool same_but_for_case(std::string_view a, std::string_view b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](unsigned char x, unsigned char y) {
+    return std::tolower(x) == std::tolower(y);
+  });
+}
+
+}  // namespace
+
 const char* isa_name() { return HWY_DYNAMIC_DISPATCH(own_name)(); }
 
 Status force_isa(const std::string& name) {
   std::string known;
   for (const auto target : hwy::SupportedAndGeneratedTargets()) {
     const char* each = hwy::TargetName(target);
-    if (strcasecmp(each, name.c_str()) == 0) {
+    if (same_but_for_case(each, name)) {
       hwy::SetSupportedTargetsForTest(target);
       return Status::ok();
     }
