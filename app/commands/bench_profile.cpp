@@ -3,6 +3,7 @@
 #include <cstdio>
 #include <numeric>
 #include <string>
+#include <vector>
 
 #include "firmware/nn/kernels/peak.h"
 

@@ -37,10 +37,13 @@ HWY_INLINE void finish_row(const Conv3x3& conv, const float* sums, float* out) {
 // before.
 class ConvRows {
  public:
-  // `first` is the first row that will be asked for; `before` null: the input is in memory.
-  HWY_INLINE void begin(const Conv3x3& conv, ConvRows* before, int first, float* scratch) {
+  // `first` is the first row that will be asked for; `before` null: the input is in memory. Only
+  // `own` rows go to the convolution's output.
+  HWY_INLINE void begin(const Conv3x3& conv, ConvRows* before, int first, const OwnRows& own,
+                        float* scratch) {
     conv_ = &conv;
     before_ = before;
+    own_ = own;
     row_floats_ = static_cast<std::size_t>(conv.width + 2) * conv.channels;
     ring_ = scratch;
     loaded_ = first * conv.stride - 1;
@@ -67,7 +70,7 @@ class ConvRows {
                              conv_->width / conv_->stride};
       multiply(rows, conv_->weights, {out, share_, conv_->weights.columns, conv_->activation});
     }
-    if (conv_->output == nullptr) return;
+    if (conv_->output == nullptr || !own_.has(y)) return;
     float* kept = conv_->output + static_cast<std::size_t>(y) * out_floats();
     if (kept != out) std::memcpy(kept, out, out_floats() * sizeof(float));
   }
@@ -93,6 +96,7 @@ class ConvRows {
 
   const Conv3x3* conv_ = nullptr;
   ConvRows* before_ = nullptr;
+  OwnRows own_;
   std::size_t row_floats_ = 0;
   float* ring_ = nullptr;   // three padded input rows
   int loaded_ = 0;          // the next one to load
@@ -103,12 +107,13 @@ class ConvRows {
 // The rows of a chain's last convolution, in order.
 class ChainRows {
  public:
-  // `first` is the first row that will be asked for. Scratch: conv3x3_scratch floats.
-  HWY_INLINE void begin(const ConvChain& chain, int first, float* scratch) {
+  // `first` is the first row that will be asked for, `own` as above. Scratch: conv3x3_scratch
+  // floats.
+  HWY_INLINE void begin(const ConvChain& chain, int first, const OwnRows& own, float* scratch) {
     last_ = static_cast<std::size_t>(chain.count) - 1;
     for (std::size_t i = last_ + 1; i-- > 0;) {
       const Conv3x3& conv = chain.convs[i];
-      rows_[i].begin(conv, i > 0 ? &rows_[i - 1] : nullptr, first, scratch);
+      rows_[i].begin(conv, i > 0 ? &rows_[i - 1] : nullptr, first, own, scratch);
       scratch += conv.scratch_floats();
       first = std::max(0, first * conv.stride - 1);
     }

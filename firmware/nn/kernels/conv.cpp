@@ -15,7 +15,7 @@ namespace HWY_NAMESPACE {
 
 void conv_rows(const ConvChain& chain, int begin, int end, float* scratch) {
   ChainRows rows;
-  rows.begin(chain, begin, scratch);
+  rows.begin(chain, begin, {begin, end}, scratch);
   const Conv3x3& last = chain.convs[static_cast<std::size_t>(chain.count) - 1];
   const std::size_t pitch =
       static_cast<std::size_t>(last.width / last.stride) * last.weights.columns;

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cstring>
 
+#include "firmware/nn/kernels/matrix.h"
+
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/head.cpp"
@@ -135,7 +137,8 @@ std::size_t padded_channels(int channels) {
 
 // Row y of the hidden layer between two pixels of zeros, each pixel padded to whole vectors with
 // zeros that are there already; all zero beyond the image.
-HWY_INLINE void padded_row(const HeadUpdate& u, int y, float* out, std::size_t pitch) {
+HWY_INLINE void padded_row(const HeadUpdate& u, int y, const OwnRows& own, float* out,
+                           std::size_t pitch) {
   const HeadStep& s = u.step;
   const auto width = static_cast<std::size_t>(s.width);
   const auto channels = static_cast<std::size_t>(s.channels);
@@ -148,7 +151,8 @@ HWY_INLINE void padded_row(const HeadUpdate& u, int y, float* out, std::size_t p
   float* first = out + pitch;
   if (u.hidden == nullptr) {
     hidden_row(s, y, first, pitch);
-    for (std::size_t x = 0; x < width && s.hidden != nullptr; ++x) {
+    const bool wanted = s.hidden != nullptr && own.has(y);
+    for (std::size_t x = 0; x < width && wanted; ++x) {
       std::memcpy(s.hidden + at + x * channels, first + x * pitch, bytes);
     }
   } else {
@@ -217,7 +221,9 @@ void update_rows(const HeadUpdate& u, int begin, int end, float* scratch) {
   const auto slot = [&](int row) { return scratch + (row + 1) % 3 * row_floats; };
   int loaded = begin - 1;
   for (int y = begin; y < end; ++y) {
-    for (; loaded <= y + 1; ++loaded) padded_row(u, loaded, slot(loaded), pitch);
+    for (; loaded <= y + 1; ++loaded) {
+      padded_row(u, loaded, {begin, end}, slot(loaded), pitch);
+    }
     update_row(u, y, {slot(y - 1), slot(y), slot(y + 1)}, pitch);
   }
 }

@@ -30,7 +30,8 @@ class Strip {
         filtered_(scratch + 3 * row_floats()) {}
 
   HWY_INLINE void compute_rows(int begin, int end) {
-    int loaded = begin * b_.stride - 1;  // the next row to expand
+    own_ = {begin * b_.stride, end * b_.stride};
+    int loaded = own_.begin - 1;  // the next row to expand
     for (int y = begin; y < end; ++y) {
       const int top = y * b_.stride - 1;
       for (; loaded <= top + 2; ++loaded) expand_row(loaded);
@@ -67,7 +68,8 @@ class Strip {
     float* last = first + static_cast<std::size_t>(end - begin) * hidden();
     std::memset(last, 0,
                 static_cast<std::size_t>(left_ + window_ - end) * hidden() * sizeof(float));
-    if (b_.expanded != nullptr) std::copy(first, last, b_.expanded + pixel * hidden());
+    if (b_.expanded != nullptr && own_.has(row))
+      std::copy(first, last, b_.expanded + pixel * hidden());
   }
 
   // kPixels neighbouring pixels, the first at `column` of the strip. Columns that windows share are
@@ -125,8 +127,9 @@ class Strip {
   const InvertedResidual& b_;
   int first_;
   int columns_;
-  int left_;    // column of the input under the ring's first pixel
-  int window_;  // pixels of a ring row
+  int left_;     // column of the input under the ring's first pixel
+  int window_;   // pixels of a ring row
+  OwnRows own_;  // of the input
   float* ring_;
   float* filtered_;
 };

@@ -53,7 +53,7 @@ HWY_INLINE void transform_output(D d, const V (&m)[kPatch], V (&out)[kTile]) {
 // Some strips of tiles at a time: their input rows, the patches and the products.
 class Batch {
  public:
-  HWY_INLINE Batch(const WinogradConv& winograd, int first_row, float* scratch)
+  HWY_INLINE Batch(const WinogradConv& winograd, const OwnRows& own, float* scratch)
       : w_(winograd),
         conv_(winograd.conv),
         channels_(static_cast<std::size_t>(conv_.channels)),
@@ -67,9 +67,9 @@ class Batch {
     float* rest = shares_;
     if (conv_.upsampled.data != nullptr) {
       rest += kTile * strips_ * out_floats();
-      upsampled_.begin(conv_.upsampled, first_row, rest);
+      upsampled_.begin(conv_.upsampled, own.begin, rest);
     }
-    if (w_.before.count > 0) before_.begin(w_.before, std::max(0, first_row - 1), rest);
+    if (w_.before.count > 0) before_.begin(w_.before, std::max(0, own.begin - 1), own, rest);
   }
 
   // Output rows [y, end), at most strips() of them; y is a multiple of kTile.
@@ -224,7 +224,7 @@ class Batch {
 };
 
 void rows(const WinogradConv& winograd, int begin, int end, float* scratch) {
-  Batch batch(winograd, begin, scratch);
+  Batch batch(winograd, {begin, end}, scratch);
   for (int y = begin; y < end; y += batch.rows()) {
     batch.compute(y, std::min(end, y + batch.rows()));
   }
