@@ -1,0 +1,183 @@
+// The diffusion head and the way from logit to metres against the sums as they are written.
+#include <algorithm>
+#include <cmath>
+#include <gtest/gtest.h>
+#include <utility>
+
+#include "firmware/nn/kernels/head.h"
+#include "tests/firmware/image.h"
+
+namespace lcdm::kernels {
+namespace {
+
+using test::expect_near;
+using test::for_each_isa;
+using test::Image;
+using test::make_image;
+using test::Random;
+using test::to_floats;
+
+// A head step on random weights, and the same figures made plainly: embed, add, convolve, scale.
+struct HeadCase {
+  Image condition, state, hidden, out;
+  std::vector<float> shared, state_values, scale, bias, time, embed, conv1, composed, constant;
+  std::vector<float> taps;
+  HeadStep step;
+};
+
+double tap_sum(const Image& image, const std::vector<float>& taps, int y, int x, int c, int n) {
+  // taps [9, image.channels, filters]: filter n, channel c
+  double sum = 0;
+  const auto filters = static_cast<int>(taps.size()) / 9 / image.channels;
+  for (int t = 0; t < 9; ++t) {
+    sum += static_cast<double>(
+               taps[static_cast<std::size_t>((t * image.channels + c) * filters + n)]) *
+           image.padded(y + t / 3 - 1, x + t % 3 - 1, c, Padding::kZero);
+  }
+  return sum;
+}
+
+Image convolved(const Image& in, const std::vector<float>& taps, int filters) {
+  Image out{in.height, in.width, filters, {}};
+  for (int y = 0; y < in.height; ++y) {
+    for (int x = 0; x < in.width; ++x) {
+      for (int n = 0; n < filters; ++n) {
+        double sum = 0;
+        for (int c = 0; c < in.channels; ++c) sum += tap_sum(in, taps, y, x, c, n);
+        out.values.push_back(sum);
+      }
+    }
+  }
+  return out;
+}
+
+// conv1 of embed's taps and of the time, as one 5x5 and one constant.
+void compose(HeadCase& h, int channels) {
+  const auto n = static_cast<std::size_t>(channels);
+  h.composed.assign(25 * n, 0);
+  h.constant = h.bias;
+  for (std::size_t t = 0; t < 9; ++t) {
+    for (std::size_t c = 0; c < n; ++c) {
+      for (std::size_t o = 0; o < n; ++o) {
+        const float w = h.scale[o] * h.conv1[(t * n + c) * n + o];
+        h.constant[o] += w * h.time[c];
+        for (std::size_t e = 0; e < 9; ++e) {
+          h.composed[(5 * (t / 3 + e / 3) + t % 3 + e % 3) * n + o] += w * h.embed[e * n + c];
+        }
+      }
+    }
+  }
+}
+
+void fill_head_case(HeadCase& h, Random& random, int height, int width, int channels, bool zero) {
+  const auto n = static_cast<std::size_t>(channels);
+  h.condition = make_image(random, height, width, channels);
+  h.state = make_image(random, height, width, 1);
+  if (zero) std::fill(h.state.values.begin(), h.state.values.end(), 0.0);
+  h.scale = random.reals(n, 0.5F, 1.5F);
+  h.bias = random.reals(n);
+  h.time = random.reals(n);
+  h.embed = random.reals(9 * n);
+  h.conv1 = random.reals(9 * n * n);
+  h.taps = random.reals(9 * n);
+  compose(h, channels);
+  Image fused = convolved(h.state, h.embed, channels);
+  for (std::size_t i = 0; i < fused.values.size(); ++i) {
+    fused.values[i] += h.condition.values[i] + static_cast<double>(h.time[i % n]);
+  }
+  h.hidden = convolved(fused, h.conv1, channels);
+  for (std::size_t i = 0; i < h.hidden.values.size(); ++i) {
+    const auto scaled = static_cast<double>(h.scale[i % n]) * h.hidden.values[i];
+    h.hidden.values[i] = std::max(0.0, scaled + static_cast<double>(h.bias[i % n]));
+  }
+  h.out = convolved(h.hidden, h.taps, 1);
+  h.shared = to_floats(convolved(h.condition, h.conv1, channels).values);
+  h.state_values = to_floats(h.state.values);
+  h.step = {h.shared.data(),
+            zero ? nullptr : h.state_values.data(),
+            height,
+            width,
+            channels,
+            h.scale.data(),
+            h.composed.data(),
+            h.constant.data(),
+            h.bias.data(),
+            h.embed.data(),
+            h.time.data(),
+            h.conv1.data(),
+            true,
+            nullptr};
+}
+
+// The whole image inside the border, hardly more than the border, and next to nothing.
+TEST(HeadKernel, SharesTheConditionsConvolutionExactlyBordersIncluded) {
+  for_each_isa([] {
+    Random random(5);
+    for (const bool zero : {false, true}) {
+      for (const int channels : {4, 16, 20}) {
+        for (const auto& [height, width] : {std::pair{7, 37}, {5, 6}, {2, 3}}) {
+          HeadCase h;
+          fill_head_case(h, random, height, width, channels, zero);
+          std::vector<float> hidden(h.hidden.values.size());
+          h.step.hidden = hidden.data();
+          head_hidden_rows(h.step, height / 2, height);
+          head_hidden_rows(h.step, 0, height / 2);
+          expect_near(hidden, h.hidden, 2e-4);
+        }
+      }
+    }
+  });
+}
+
+TEST(HeadKernel, UpdatesTheStateInTheSamePass) {
+  for_each_isa([] {
+    Random random(6);
+    for (const int channels : {4, 16, 20}) {
+      constexpr int kHeight = 6;
+      constexpr int kWidth = 37;
+      HeadCase h;
+      fill_head_case(h, random, kHeight, kWidth, channels, false);
+      std::vector<float> weights(update_weight_floats(channels));
+      pack_update_weights(h.taps.data(), channels, weights.data());
+      std::vector<float> next(kHeight * kWidth);
+      std::vector<float> seen(h.hidden.values.size());
+      h.step.hidden = seen.data();
+      HeadUpdate update{nullptr, h.step, weights.data(),        0.25F,
+                        1.5F,    -0.5F,  h.state_values.data(), next.data()};
+      std::vector<float> scratch(head_update_scratch(update));
+      Image want = h.out;
+      for (std::size_t i = 0; i < next.size(); ++i) {
+        want.values[i] = 1.5 * h.state.values[i] - 0.5 * (0.25 + want.values[i]);
+      }
+      head_update_rows(update, 3, kHeight, scratch.data());
+      head_update_rows(update, 0, 3, scratch.data());
+      expect_near(next, want, 1e-3);
+      expect_near(seen, h.hidden, 2e-4);
+
+      update.hidden = seen.data();  // a norm made it: it is read instead
+      std::fill(next.begin(), next.end(), 0.0F);
+      head_update_rows(update, 0, kHeight, scratch.data());
+      expect_near(next, want, 1e-3);
+    }
+  });
+}
+
+TEST(DepthKernel, TurnsLogitsIntoMetresBetweenATenthAndAHundred) {
+  for_each_isa([] {
+    std::vector<float> state;
+    for (float x = -30; x <= 30; x += 0.37F) state.push_back(x);
+    state.push_back(-1e9F);
+    state.push_back(1e9F);
+    std::vector<float> metres(state.size());
+    depth_range({state.data(), 2.0F, -1.0F, 3.0F, metres.data()}, 0,
+                static_cast<int>(state.size()));
+    for (std::size_t i = 0; i < state.size(); ++i) {
+      const double logit = 2 * static_cast<double>(state[i]) - 1;
+      const double expected = 3 / (0.01 + 9.99 / (1 + std::exp(-logit)));
+      ASSERT_NEAR(static_cast<double>(metres[i]) / expected, 1, 1e-6) << state[i];
+    }
+  });
+}
+
+}  // namespace
+}  // namespace lcdm::kernels

@@ -1,0 +1,135 @@
+// The inverted residual in one pass against its three layers.
+#include <cmath>
+#include <gtest/gtest.h>
+
+#include "firmware/nn/kernels/inverted_residual.h"
+#include "tests/firmware/image.h"
+
+namespace lcdm::kernels {
+namespace {
+
+using test::expect_near;
+using test::for_each_isa;
+using test::Image;
+using test::make_image;
+using test::Random;
+using test::to_floats;
+
+double silu(double x) { return x / (1 + std::exp(-x)); }
+
+// A 1x1 convolution: [columns][channels] weights, packed.
+struct Pointwise {
+  int columns;
+  int channels;
+  std::vector<float> weights;
+  std::vector<float> bias;
+  std::vector<float> packed_store;
+  PackedMatrix packed;
+
+  Pointwise(Random& random, int out_channels, int in_channels)
+      : columns(out_channels),
+        channels(in_channels),
+        weights(random.reals(static_cast<std::size_t>(out_channels * in_channels))),
+        bias(random.reals(static_cast<std::size_t>(out_channels))),
+        packed_store(packed_floats(in_channels, out_channels)),
+        packed(pack_matrix(
+            in_channels, out_channels,
+            [this](int k, int n) { return weights[static_cast<std::size_t>(n * channels + k)]; },
+            bias, packed_store)) {}
+
+  Image of(const Image& in) const {
+    Image out{in.height, in.width, columns, {}};
+    for (int p = 0; p < in.height * in.width; ++p) {
+      for (int n = 0; n < columns; ++n) {
+        double sum = static_cast<double>(bias[static_cast<std::size_t>(n)]);
+        for (int c = 0; c < channels; ++c) {
+          sum += static_cast<double>(weights[static_cast<std::size_t>(n * channels + c)]) *
+                 in.values[static_cast<std::size_t>(p * channels + c)];
+        }
+        out.values.push_back(sum);
+      }
+    }
+    return out;
+  }
+};
+
+Image depthwise(const Image& in, int stride, const std::vector<float>& taps,
+                const std::vector<float>& bias) {
+  Image out{in.height / stride, in.width / stride, in.channels, {}};
+  for (int y = 0; y < out.height; ++y) {
+    for (int x = 0; x < out.width; ++x) {
+      for (int c = 0; c < in.channels; ++c) {
+        double sum = static_cast<double>(bias[static_cast<std::size_t>(c)]);
+        for (int t = 0; t < 9; ++t) {
+          sum += static_cast<double>(taps[static_cast<std::size_t>(t * in.channels + c)]) *
+                 in.padded(y * stride + t / 3 - 1, x * stride + t % 3 - 1, c, Padding::kZero);
+        }
+        out.values.push_back(sum);
+      }
+    }
+  }
+  return out;
+}
+
+// The block in one pass against its three layers one after the other, with borders, over several
+// strips, and in slices as several workers would.
+void check_inverted_residual(Random& random, int channels, int hidden, int columns, int stride,
+                             int height, int width) {
+  SCOPED_TRACE(testing::Message() << channels << " -> " << hidden << " -> " << columns
+                                  << ", stride " << stride << ", " << width << "x" << height);
+  const Image in = make_image(random, height, width, channels);
+  const Pointwise expand(random, hidden, channels);
+  const auto taps = random.reals(static_cast<std::size_t>(9 * hidden));
+  const auto taps_bias = random.reals(static_cast<std::size_t>(hidden));
+  const Pointwise project(random, columns, hidden);
+  Image expanded = expand.of(in);
+  for (double& v : expanded.values) v = silu(v);
+  Image filtered = depthwise(expanded, stride, taps, taps_bias);
+  for (double& v : filtered.values) v = silu(v);
+  Image want = project.of(filtered);
+  const bool residual = stride == 1 && channels == columns;
+  for (std::size_t i = 0; residual && i < want.values.size(); ++i) want.values[i] += in.values[i];
+
+  const auto values = to_floats(in.values);
+  std::vector<float> out(want.values.size());
+  std::vector<float> seen_expanded(expanded.values.size());
+  std::vector<float> seen_filtered(filtered.values.size());
+  InvertedResidual block;
+  block.input = values.data();
+  block.height = height;
+  block.width = width;
+  block.channels = channels;
+  block.hidden = hidden;
+  block.stride = stride;
+  block.expand = expand.packed;
+  block.taps = taps.data();
+  block.taps_bias = taps_bias.data();
+  block.project = project.packed;
+  block.residual = residual ? values.data() : nullptr;
+  block.output = out.data();
+  block.expanded = seen_expanded.data();
+  block.filtered = seen_filtered.data();
+  std::vector<float> scratch(inverted_residual_scratch(block));
+  const int rows = height / stride;
+  inverted_residual_rows(block, rows / 2, rows, scratch.data());
+  inverted_residual_rows(block, 0, rows / 2, scratch.data());
+  expect_near(seen_expanded, expanded, 1e-4);
+  expect_near(seen_filtered, filtered, 1e-4);
+  expect_near(out, want, 1e-5 * hidden);
+}
+
+TEST(InvertedResidualKernel, IsItsThreeLayersInOnePass) {
+  for_each_isa([] {
+    Random random(4);
+    for (const int stride : {1, 2}) {
+      for (const int hidden : {1, 8, 20, 48}) {
+        check_inverted_residual(random, 5, hidden, 5, stride, stride * random.whole(1, 6),
+                                stride * random.whole(1, 12));
+      }
+      check_inverted_residual(random, 16, 640, 24, stride, 6, 84);  // several strips
+    }
+  });
+}
+
+}  // namespace
+}  // namespace lcdm::kernels
