@@ -155,6 +155,13 @@ class Run {
   fs::path folder_;
 };
 
+// Of weights trained on `data`: those they started from, or this run's own, ask for something too.
+std::string licence_of(const ModelConfig& config, const Data& data) {
+  if (config.licence.empty() || config.licence == data.licence) return data.licence;
+  if (config.licence.rfind(data.licence, 0) == 0) return config.licence;  // a run that goes on
+  return data.licence + "; started from weights under: " + config.licence;
+}
+
 Status run(const Options& options) {
   const Result<Recipe> recipe = recipe_of(options.recipe);
   if (!recipe) return recipe.status();
@@ -179,12 +186,13 @@ Status run(const Options& options) {
   } else {
     LCDM_RETURN_IF_ERROR(start_from_trained(options, *recipe, **trainer));
   }
-  (*trainer)->set_licence(data->licence);
+  const std::string licence = licence_of((*trainer)->config(), *data);
+  (*trainer)->set_licence(licence);
   if (leads) {
     const ModelConfig& config = (*trainer)->config();
     std::printf("variable mean %.4f deviation %.4f, from step %lld\nlicence of the weights: %s\n",
                 config.variable_mean, config.variable_std,
-                static_cast<long long>((*trainer)->step()), data->licence.c_str());
+                static_cast<long long>((*trainer)->step()), licence.c_str());
   }
   std::signal(SIGTERM, [](int) { stop_asked = 1; });
   std::signal(SIGINT, [](int) { stop_asked = 1; });

@@ -169,7 +169,13 @@ Status Trainer::start_from(const DepthNetwork& trained) {
   }
   std::map<std::string, torch::Tensor> tensors;
   collect(*trained, "", tensors);
-  restore(*networks_->depth, "", tensors);
+  if (!restore(*networks_->depth, "", tensors)) {
+    return Status::error(
+        StatusCode::kInvalidInput,
+        "the weights to start from have other widths or another number of sampling "
+        "steps than the recipe's network");
+  }
+  config.licence = trained->config.licence;
   config.variable_mean = trained->config.variable_mean;
   config.variable_std = trained->config.variable_std;
   average_->config = config;

@@ -55,8 +55,8 @@ class Trainer {
   // weights are then those before the step.
   Result<Losses> advance();
 
-  // Starts the depth network from weights trained before; before the first step. kInvalidInput:
-  // another encoder or preset.
+  // Starts the depth network from weights trained before; before the first step. Their licence
+  // comes with them. kInvalidInput: another encoder, preset or shape.
   Status start_from(const DepthNetwork& trained);
   // Starts encoder or pose network from others' weights; before the first step. Errors as
   // weight_import.h; kInvalidInput where there is no pose network.

@@ -69,7 +69,8 @@ TEST_F(FieldLoopTest, ADriveIsRecordedReplayedTrainedOnAndExported) {
   const auto tuned = ModelFile::load(path("tuned.safetensors"));
   ASSERT_TRUE(tuned) << tuned.status().text();
   EXPECT_EQ(tuned->config().name, "field loop");
-  EXPECT_EQ(tuned->config().licence, "that of the trainer's own pictures");  // from the data
+  EXPECT_EQ(tuned->config().licence,  // what data and first weights ask for
+            "that of the trainer's own pictures; started from weights under: Apache-2.0");
 
   // It teaches in turn, and is compared on a page.
   run(LCDM_TRAIN_PROGRAM, {"teach", "--pack", path("pack"), "--model", path("tuned.safetensors")});

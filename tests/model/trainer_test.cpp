@@ -212,6 +212,9 @@ TEST(Trainer, StartsFromTrainedWeights) {
   EXPECT_TRUE(same_weights(*first, *second));
   EXPECT_EQ(second->step(), 0);
   EXPECT_EQ(second->config().variable_mean, first->config().variable_mean);
+  ModelConfig wider = first->config();
+  wider.decoder_widths[0] *= 2;
+  EXPECT_EQ(second->start_from(DepthNetwork(wider)).code(), StatusCode::kInvalidInput);
   recipe.encoder = EncoderKind::kXs;
   EXPECT_EQ(trainer_of(recipe)->start_from(first->averaged()).code(), StatusCode::kInvalidInput);
 }
