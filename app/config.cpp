@@ -13,6 +13,7 @@
 #include <unistd.h>
 
 #include "app/source.h"
+#include "firmware/nn/network.h"
 
 namespace lcdm {
 namespace {
@@ -22,6 +23,10 @@ constexpr std::uintmax_t kMaxFileBytes = 256U << 10;
 const char* source_objection(const std::string& text) {
   if (text == "auto" || is_source_uri(text)) return nullptr;
   return "is no source: use auto, scene:, file:PATH, mcap:PATH or v4l2:/dev/...";
+}
+
+const char* precision_objection(const std::string& text) {
+  return parse_precision(text) ? nullptr : "is no precision: use fp32, bf16 or int8";
 }
 
 const char* address_objection(const std::string& text) {
@@ -279,6 +284,7 @@ std::vector<ConfigField> config_fields(Config& c) {
       {"model", "width", &c.model.width, 0, 2048},
       {"model", "height", &c.model.height, 0, 2048},
       {"model", "threads", &c.model.threads, 0, 64},
+      {"model", "precision", &c.model.precision, 0, 0, &precision_objection},
       {"http", "listen", &c.http.listen, 0, 0, &address_objection},
       {"http", "port", &c.http.port, 0, 65535},
       {"http", "max_clients", &c.http.max_clients, 1, 64},

@@ -24,6 +24,7 @@ struct Config {
     int width = 0;
     int height = 0;
     int threads = 0;
+    std::string precision = "fp32";
   } model;
   struct Http {
     std::string listen = "127.0.0.1";

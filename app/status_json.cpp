@@ -19,6 +19,7 @@ nlohmann::json model_json(const EngineStats& stats) {
           {"width", stats.width},
           {"height", stats.height},
           {"threads", stats.threads},
+          {"precision", to_string(stats.precision)},
           {"arena_bytes", stats.arena_bytes},
           {"weight_bytes", stats.weight_bytes}};
 }

@@ -69,27 +69,32 @@ struct Runner {
   std::function<std::optional<Timing>(int frames)> run;
 };
 
-Result<Runner> engine_runner(const ModelFile& file, const Options& options) {
+// Nothing where this processor computes in a wider precision than that.
+Status add_engine(const ModelFile& file, const Options& options, Precision precision,
+                  std::vector<Runner>& runners) {
   EngineOptions wanted;
   wanted.width = options.width;
   wanted.height = options.height;
   wanted.threads = at::get_num_threads();
+  wanted.precision = precision;
   const CameraModel camera = CameraModel::from_field_of_view(options.width, options.height, 65);
   auto prepared = Engine::prepare(
       file, wanted, {PixelFormat::kRgb24, options.width, options.height, options.width * 3},
       camera);
   if (!prepared) return prepared.status();
   const std::shared_ptr<Engine> engine = std::move(*prepared);
+  if (engine->stats().precision != precision) return Status::ok();
   const std::vector<float> image(static_cast<std::size_t>(options.width * options.height) * 3,
                                  0.5F);
-  return Runner{"engine", [engine, image](int frames) -> std::optional<Timing> {
-                  bool good = true;
-                  const Timing timing = time_frames(frames, [&] {
-                    good = good && static_cast<bool>(engine->run_network(image));
-                  });
-                  if (!good) return std::nullopt;
-                  return timing;
-                }};
+  const auto run = [engine, image](int frames) -> std::optional<Timing> {
+    bool good = true;
+    const Timing timing =
+        time_frames(frames, [&] { good = good && static_cast<bool>(engine->run_network(image)); });
+    if (!good) return std::nullopt;
+    return timing;
+  };
+  runners.push_back({std::string("engine ") + to_string(precision), run});
+  return Status::ok();
 }
 
 Runner libtorch_runner(const ModelFile& file, const Options& options) {
@@ -148,26 +153,41 @@ Runner peer_runner(const std::string& command) {
   return {command, [process](int frames) { return process->run(frames); }};
 }
 
-void print_table(const std::vector<Runner>& runners,
+// "median (quartiles)" of runner i's time over runner e's, round by round.
+std::string ratio_text(const std::vector<std::vector<Timing>>& rounds, std::size_t i, std::size_t e,
+                       double Timing::*what) {
+  std::vector<double> ratios;
+  for (const std::vector<Timing>& round : rounds) ratios.push_back(round[i].*what / round[e].*what);
+  char text[64];
+  std::snprintf(text, sizeof(text), "%.2f (%.2f to %.2f)", median(ratios), quantile(ratios, 0.25),
+                quantile(ratios, 0.75));
+  return text;
+}
+
+// The first `engines` runners are ours, one for each precision.
+void print_table(const std::vector<Runner>& runners, std::size_t engines,
                  const std::vector<std::vector<Timing>>& rounds) {
-  std::printf(
-      "| runtime | wall ms | CPU ms | CPU, ratio to the engine (quartiles) | wall, ratio |\n"
-      "|---|---|---|---|---|\n");
+  std::string head = "| runtime | wall ms | p99 / p50 of the rounds | CPU ms |";
+  std::string rule = "|---|---|---|---|";
+  for (std::size_t e = 0; e < engines; ++e) {
+    head += " CPU over " + runners[e].name + "'s (quartiles) | wall |";
+    rule += "---|---|";
+  }
+  std::printf("%s\n%s\n", head.c_str(), rule.c_str());
   for (std::size_t i = 0; i < runners.size(); ++i) {
     std::vector<double> wall;
     std::vector<double> cpu;
-    std::vector<double> wall_ratio;
-    std::vector<double> cpu_ratio;
     for (const std::vector<Timing>& round : rounds) {
       wall.push_back(round[i].wall);
       cpu.push_back(round[i].cpu);
-      wall_ratio.push_back(round[i].wall / round[0].wall);
-      cpu_ratio.push_back(round[i].cpu / round[0].cpu);
     }
-    std::printf("| %s | %.1f | %.1f | %.2f (%.2f to %.2f) | %.2f (%.2f to %.2f) |\n",
-                runners[i].name.c_str(), median(wall), median(cpu), median(cpu_ratio),
-                quantile(cpu_ratio, 0.25), quantile(cpu_ratio, 0.75), median(wall_ratio),
-                quantile(wall_ratio, 0.25), quantile(wall_ratio, 0.75));
+    std::printf("| %s | %.1f | %.2f | %.1f |", runners[i].name.c_str(), median(wall),
+                quantile(wall, 0.99) / median(wall), median(cpu));
+    for (std::size_t e = 0; e < engines; ++e) {
+      std::printf(" %s | %s |", ratio_text(rounds, i, e, &Timing::cpu).c_str(),
+                  ratio_text(rounds, i, e, &Timing::wall).c_str());
+    }
+    std::printf("\n");
   }
 }
 
@@ -177,9 +197,10 @@ Status run(const Options& options) {
   LCDM_RETURN_IF_ERROR(export_onnx(*file, options.width, options.height, options.onnx));
   std::signal(SIGPIPE, SIG_IGN);  // a peer that dies is an answer that does not come
   std::vector<Runner> runners;
-  Result<Runner> engine = engine_runner(*file, options);
-  if (!engine) return engine.status();
-  runners.push_back(std::move(*engine));
+  for (const Precision precision : {Precision::kFloat32, Precision::kBfloat16, Precision::kInt8}) {
+    LCDM_RETURN_IF_ERROR(add_engine(*file, options, precision, runners));
+  }
+  const std::size_t engines = runners.size();
   runners.push_back(libtorch_runner(*file, options));
   for (const std::string& peer : options.peers) runners.push_back(peer_runner(peer));
 
@@ -199,7 +220,7 @@ Status run(const Options& options) {
   }
   std::printf("%s, %dx%d, %d thread(s), %d rounds of %d frames\n", file->config().name.c_str(),
               options.width, options.height, at::get_num_threads(), options.rounds, options.frames);
-  print_table(runners, rounds);
+  print_table(runners, engines, rounds);
   return Status::ok();
 }
 

@@ -12,11 +12,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr int kEngineThreads = 2;
+
 struct Options {
   DataOptions data;
   std::string checkpoint;
   std::vector<int> steps;
   std::string model;
+  std::vector<std::string> precisions;
   std::string estimates;
   std::string pack;
   std::string pictures;
@@ -141,6 +144,40 @@ Status evaluate_all(const Options& options, const std::vector<Candidate>& candid
                        options.pack.c_str(), options.test ? "test sets" : "training packs");
 }
 
+// The device's engine at each precision; says in the end how far its depth was from `exact`.
+Status add_precisions(const Options& options, const Estimator& exact,
+                      std::vector<Candidate>& candidates) {
+  struct Distance {
+    explicit Distance(std::string precision) : name(std::move(precision)) {}
+    ~Distance() {
+      std::printf("%s: log depth differs by %.5f in the mean of %d frames, %.5f in the worst\n",
+                  name.c_str(), sum / std::max(1, frames), frames, worst);
+    }
+    std::string name;
+    double sum = 0;
+    double worst = 0;
+    int frames = 0;
+  };
+  for (const std::string& name : options.precisions) {
+    const auto engine = engine_estimator(options.model, *parse_precision(name), kEngineThreads);
+    if (!engine) return engine.status();
+    const auto distance = std::make_shared<Distance>(name);
+    candidates.push_back({name, [exact, distance, engine = *engine](const PackFrame& frame) {
+                            const cv::Mat depth = engine(frame);
+                            cv::Mat logs[2];
+                            cv::log(depth, logs[0]);
+                            cv::log(exact(frame), logs[1]);
+                            const double here = cv::norm(logs[0], logs[1], cv::NORM_L1) /
+                                                static_cast<double>(depth.total());
+                            distance->sum += here;
+                            distance->worst = std::max(distance->worst, here);
+                            ++distance->frames;
+                            return depth;
+                          }});
+  }
+  return Status::ok();
+}
+
 Status run(const Options& options) {
   std::vector<Candidate> candidates;
   DepthNetwork network = nullptr;
@@ -161,6 +198,7 @@ Status run(const Options& options) {
     const Result<Estimator> estimator = file_estimator(options.model, options.share);
     if (!estimator) return estimator.status();
     candidates.push_back({fs::path(options.model).stem().string(), *estimator});
+    LCDM_RETURN_IF_ERROR(add_precisions(options, *estimator, candidates));
   }
   if (!options.estimates.empty()) {
     candidates.push_back({"folder", folder_estimator(options.estimates)});
@@ -186,6 +224,10 @@ void add_evaluate(CLI::App& app, Status& status) {
                    "Sampling steps of the checkpoint, such as 0 1 2 3 5 10 (0 to its own)")
       ->check(CLI::Range(0, ModelConfig::kDiffusionSteps));
   command->add_option("--model", options->model, "Exported model file")->check(CLI::ExistingFile);
+  command
+      ->add_option("--precision", options->precisions,
+                   "The model file in the device's engine too, at fp32, bf16 or int8")
+      ->check(CLI::IsMember({"fp32", "bf16", "int8"}));
   command->add_option("--estimates", options->estimates, "Folder of NAME.tiff or NAME.png depth")
       ->check(CLI::ExistingDirectory);
   command->add_option("--only", options->pack, "Only the set of this name");

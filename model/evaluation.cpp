@@ -6,7 +6,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "firmware/nn/network.h"
+#include "firmware/nn/engine.h"
 #include "model/batch.h"
 #include "model/depth_code.h"
 #include "model/folded_net.h"
@@ -103,6 +103,67 @@ Result<Estimator> file_estimator(const std::string& path, double share) {
   return Estimator([net, share, config = file->config()](const PackFrame& frame) {
     const torch::NoGradGuard no_grad;
     return metres_of(net->forward(input_of(frame, share).contiguous()), frame, config);
+  });
+}
+
+namespace {
+
+// The device's engine for each size that frames ask for, made when first asked for.
+class Engines {
+ public:
+  Engines(ModelFile file, Precision precision, int threads)
+      : file_(std::move(file)), precision_(precision), threads_(threads) {}
+
+  const ModelConfig& config() const { return file_.config(); }
+
+  Result<Engine*> of_size(cv::Size size) {
+    std::unique_ptr<Engine>& engine = engines_[{size.width, size.height}];
+    if (engine) return engine.get();
+    CameraModel camera = CameraModel::from_field_of_view(size.width, size.height, 65);
+    camera.fx = static_cast<float>(config().canonical_focal);  // metres are canonical ones
+    EngineOptions options;
+    options.width = size.width;
+    options.height = size.height;
+    options.threads = threads_;
+    options.precision = precision_;
+    auto made = Engine::prepare(
+        file_, options, {PixelFormat::kRgb24, size.width, size.height, 3 * size.width}, camera);
+    if (!made) return made.status();
+    engine = std::move(*made);
+    return engine.get();
+  }
+
+ private:
+  ModelFile file_;
+  Precision precision_;
+  int threads_;
+  std::map<std::pair<int, int>, std::unique_ptr<Engine>> engines_;
+};
+
+}  // namespace
+
+Result<Estimator> engine_estimator(const std::string& path, Precision precision, int threads) {
+  Result<ModelFile> file = ModelFile::load(path);
+  if (!file) return file.status();
+  const auto engines = std::make_shared<Engines>(std::move(*file), precision, threads);
+  const Result<Engine*> first = engines->of_size({kDeployed[0][0], kDeployed[0][1]});
+  if (!first) return first.status();
+  if ((*first)->stats().precision != precision) {
+    return Status::error(StatusCode::kUnsupported,
+                         "--precision %s: this processor has no instructions for it",
+                         to_string(precision));
+  }
+  return Estimator([engines](const PackFrame& frame) -> cv::Mat {
+    const torch::Tensor input = input_of(frame, 1).permute({0, 2, 3, 1}).contiguous();
+    const cv::Size size(static_cast<int>(input.size(2)), static_cast<int>(input.size(1)));
+    const Result<Engine*> engine = engines->of_size(size);
+    if (!engine) return {};
+    const auto depth =
+        (*engine)->run_network({input.data_ptr<float>(), static_cast<std::size_t>(input.numel())});
+    if (!depth) return {};
+    const torch::Tensor canonical =
+        torch::from_blob(const_cast<float*>(depth->data()), {size.height, size.width});
+    return metres_of(canonical, frame, engines->config());
   });
 }
 

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware/nn/network.h"
 #include "model/metrics.h"
 #include "model/network.h"
 #include "model/pack.h"
@@ -20,6 +21,9 @@ using Estimator = std::function<cv::Mat(const PackFrame&)>;
 Estimator network_estimator(DepthNetwork& network, int steps, double share = 1);
 // An exported file, with its own sampler. kInvalidInput where it cannot be used.
 Result<Estimator> file_estimator(const std::string& path, double share = 1);
+// The same file in the device's engine at a precision; kUnsupported where this processor would
+// compute in a wider one. `threads` of the engine.
+Result<Estimator> engine_estimator(const std::string& path, Precision precision, int threads);
 // A folder of a teacher's maps, NAME.png in 1/256 m.
 Estimator maps_estimator(const std::string& folder);
 // NAME.tiff (float metres) or NAME.png (16 bit, millimetres) of a folder.

@@ -109,6 +109,7 @@ void print_json(const BenchResult& result) {
       {"height", stats.height},
       {"threads", stats.threads},
       {"isa", kernels::isa_name()},
+      {"precision", to_string(stats.precision)},
       {"frames", result.milliseconds.size()},
       {"latency_ms",
        {{"p50", result.percentile(50)},
@@ -130,6 +131,7 @@ void print_text(const BenchResult& result) {
   std::printf("input      %dx%d, %.3f GMAC\n", stats.width, stats.height,
               static_cast<double>(stats.macs) * 1e-9);
   std::printf("threads    %d, kernels for %s\n", stats.threads, kernels::isa_name());
+  std::printf("precision  %s\n", to_string(stats.precision));
   std::printf("latency    p50 %.1f ms, p95 %.1f ms, p99 %.1f ms over %zu frames\n",
               result.percentile(50), result.percentile(95), result.percentile(99),
               result.milliseconds.size());

@@ -6,6 +6,7 @@
 
 #include "firmware/base/check.h"
 #include "firmware/base/os.h"
+#include "firmware/nn/kernels/matrix.h"
 #include "firmware/vision/depth_to_millimetres.h"
 
 namespace lcdm {
@@ -71,8 +72,8 @@ Result<std::unique_ptr<Engine>> Engine::prepare(const ModelFile& model,
 
   const CameraModel depth_camera = camera.resized(size.width, size.height);
   const float depth_scale = depth_camera.fx / static_cast<float>(model.config().canonical_focal);
-  Result<Program> program =
-      Program::build(*network, model, {options.threads, options.keep_tensors, depth_scale});
+  Result<Program> program = Program::build(
+      *network, model, {options.threads, options.keep_tensors, {depth_scale, options.precision}});
   if (!program) return program.status();
   return std::unique_ptr<Engine>(new Engine(std::move(*network), std::move(*program),
                                             std::move(*preprocess), options, depth_camera, model));
@@ -167,6 +168,7 @@ EngineStats Engine::stats() const {
           .width = network_.width(),
           .height = network_.height(),
           .threads = pool_.workers(),
+          .precision = kernels::native_precision(options_.precision, Network::kSizeStep),
           .model_name = config.name,
           .model_licence = config.licence,
           .model_hash = model_hash_};

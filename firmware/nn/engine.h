@@ -29,6 +29,8 @@ struct EngineOptions {
   int height = 0;
   int threads = 1;            // the caller's included
   bool keep_tensors = false;  // for tests: every layer's output can be read after a run
+  Precision precision = Precision::kFloat32;  // where the processor has instructions for it, else
+                                              // the next wider
 };
 
 struct EngineStats {
@@ -38,6 +40,7 @@ struct EngineStats {
   int width = 0;
   int height = 0;
   int threads = 0;
+  Precision precision = Precision::kFloat32;  // what is in use
   std::string model_name;
   std::string model_licence;
   std::uint64_t model_hash = 0;

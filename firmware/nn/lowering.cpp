@@ -42,16 +42,16 @@ class SlicedStep final : public Step {
 class Lowering {
  public:
   Lowering(const Network& network, int index, const ModelFile& model,
-           const std::vector<std::span<float>>& tensors, float depth_scale,
+           const std::vector<std::span<float>>& tensors, const LoweringOptions& options,
            ConstantStore& constants, std::vector<std::unique_ptr<Step>>& steps)
       : network_(network),
         index_(index),
         layer_(network.layer(index)),
         output_(tensors[static_cast<std::size_t>(index)].data()),
         tensors_(tensors),
-        depth_scale_(depth_scale),
+        depth_scale_(options.depth_scale),
         constants_(constants),
-        weights_(model, constants),
+        weights_(model, constants, options.precision),
         steps_(steps) {}
 
   Status lower() {
@@ -209,10 +209,14 @@ class Lowering {
     args.output = output_;
     args.expanded = tensors_[static_cast<std::size_t>(filter.inputs[0].layer)].data();
     args.filtered = tensors_[static_cast<std::size_t>(source(0).layer)].data();
-    LCDM_RETURN_IF_ERROR(weights_.pack_matrix(expand, in.channels, args.expand));
+    // The first block, at half the picture's size, gains least and shifts the depth of whole frames
+    // most.
+    const bool first_block = 2 * layer_.output.width == network_.width();
+    const Precision narrowest = first_block ? Precision::kFloat32 : Precision::kInt8;
+    LCDM_RETURN_IF_ERROR(weights_.pack_matrix(expand, in.channels, args.expand, narrowest));
     LCDM_RETURN_IF_ERROR(weights_.store_taps(filter.parameters[0], args.taps));
     LCDM_RETURN_IF_ERROR(weights_.store(filter.parameters[1], args.taps_bias));
-    LCDM_RETURN_IF_ERROR(weights_.pack_matrix(layer_, args.hidden, args.project));
+    LCDM_RETURN_IF_ERROR(weights_.pack_matrix(layer_, args.hidden, args.project, narrowest));
     return add_step(args, &kernels::inverted_residual_rows, layer_.output.height, 1,
                     kernels::inverted_residual_scratch(args));
   }
@@ -262,8 +266,10 @@ class Lowering {
 
   Status attention() {
     const Shape& out = layer_.output;
-    const kernels::Attention args = {input(),      out.height,      out.width,
-                                     out.channels, Network::kHeads, output_};
+    const Precision precision =
+        std::min(weights_.precision_for(out.channels / Network::kHeads), Precision::kBfloat16);
+    const kernels::Attention args = {input(),         out.height, out.width, out.channels,
+                                     Network::kHeads, output_,    precision};
     return add_step(args, &kernels::attention_range, kernels::attention_items(args), 1,
                     kernels::attention_scratch(args));
   }
@@ -366,9 +372,9 @@ class Lowering {
 }  // namespace
 
 Status lower_layer(const Network& network, int index, const ModelFile& model,
-                   const std::vector<std::span<float>>& tensors, float depth_scale,
+                   const std::vector<std::span<float>>& tensors, const LoweringOptions& options,
                    ConstantStore& constants, std::vector<std::unique_ptr<Step>>& steps) {
-  return Lowering(network, index, model, tensors, depth_scale, constants, steps).lower();
+  return Lowering(network, index, model, tensors, options, constants, steps).lower();
 }
 
 }  // namespace lcdm

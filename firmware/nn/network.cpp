@@ -351,6 +351,25 @@ const char* to_string(LayerKind kind) {
   return "unknown";
 }
 
+const char* to_string(Precision precision) {
+  switch (precision) {
+    case Precision::kFloat32:
+      return "fp32";
+    case Precision::kBfloat16:
+      return "bf16";
+    case Precision::kInt8:
+      return "int8";
+  }
+  return "unknown";
+}
+
+std::optional<Precision> parse_precision(std::string_view name) {
+  for (const Precision each : {Precision::kFloat32, Precision::kBfloat16, Precision::kInt8}) {
+    if (name == to_string(each)) return each;
+  }
+  return std::nullopt;
+}
+
 Result<Network> Network::build(const ModelConfig& config, int width, int height) {
   const auto possible = [](int side) {
     return side >= kMinSide && side <= kMaxSide && side % kSizeStep == 0;

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -51,6 +52,19 @@ const char* to_string(LayerKind kind);
 enum class Activation : std::uint8_t { kNone, kSilu, kElu, kRelu };
 enum class Padding : std::uint8_t { kZero, kReflect };
 enum class Upsampling : std::uint8_t { kNone, kNearest, kBilinear };  // x2, while it is read
+
+// What the products of 1x1 convolutions, linear layers and attention multiply. They add in float
+// (kInt8: exactly); activations, 3x3 convolutions and the encoder's first block stay in float.
+enum class Precision : std::uint8_t {
+  kFloat32,
+  kBfloat16,
+  kInt8,  // weights with a scale for each column, activations with a range for some pixels
+          // together; attention in kBfloat16
+};
+
+const char* to_string(Precision precision);
+// The precision that to_string calls so, if there is one.
+std::optional<Precision> parse_precision(std::string_view name);
 
 // The output of an earlier layer, as a later one reads it.
 struct Source {

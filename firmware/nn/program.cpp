@@ -48,7 +48,7 @@ Result<Program> Program::build(const Network& network, const ModelFile& model,
   }
   for (std::size_t i = 0; i < network.layers().size(); ++i) {
     LCDM_RETURN_IF_ERROR(lower_layer(network, static_cast<int>(i), model, program.tensors_,
-                                     options.depth_scale, program.constants_, program.steps_));
+                                     options.lowering, program.constants_, program.steps_));
     program.layer_of_step_.resize(program.steps_.size(), i);
   }
 

@@ -26,12 +26,17 @@ class Step {
   virtual std::size_t scratch_floats() const { return 0; }
 };
 
+struct LoweringOptions {
+  float depth_scale = 1;  // metres per canonical metre: fx of the network's input / f_c
+  Precision precision = Precision::kFloat32;
+};
+
 class Program {
  public:
   struct Options {
     int workers = 1;
     bool keep_tensors = false;
-    float depth_scale = 1;  // metres per canonical metre: fx of the network's input / f_c
+    LoweringOptions lowering;
   };
 
   // The model must have passed network.check_weights(); it may be dropped afterwards.
@@ -67,7 +72,7 @@ class Program {
 // Appends to `steps` what computes layer `index` (nothing for input and start); packs its weights
 // into `constants`. `tensors` holds every layer's output.
 Status lower_layer(const Network& network, int index, const ModelFile& model,
-                   const std::vector<std::span<float>>& tensors, float depth_scale,
+                   const std::vector<std::span<float>>& tensors, const LoweringOptions& options,
                    ConstantStore& constants, std::vector<std::unique_ptr<Step>>& steps);
 
 }  // namespace lcdm

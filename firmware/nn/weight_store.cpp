@@ -57,6 +57,10 @@ ComposedHead compose(const HeadParameters& p) {
 
 }  // namespace
 
+Precision WeightStore::precision_for(int numbers) const {
+  return kernels::native_precision(precision_, numbers);
+}
+
 std::vector<float> WeightStore::load(const Parameter& parameter) const {
   const auto found = model_.tensors().find(parameter.name);
   LCDM_CHECK(found != model_.tensors().end());  // check_weights has seen it
@@ -89,10 +93,12 @@ Status WeightStore::store(std::span<const float> values, const float*& out) {
 }
 
 Status WeightStore::pack(int depth, int columns, const std::function<float(int, int)>& weight,
-                         std::span<const float> bias, kernels::PackedMatrix& out) {
-  Result<std::span<float>> piece = constants_.add(kernels::packed_floats(depth, columns));
+                         std::span<const float> bias, Precision precision,
+                         kernels::PackedMatrix& out) {
+  Result<std::span<float>> piece =
+      constants_.add(kernels::packed_floats(depth, columns, precision));
   if (!piece) return piece.status();
-  out = kernels::pack_matrix(depth, columns, weight, bias, *piece);
+  out = kernels::pack_matrix(depth, columns, weight, bias, *piece, precision);
   return Status::ok();
 }
 
@@ -104,24 +110,26 @@ Status WeightStore::store_taps(const Parameter& parameter, const float*& out) {
   return store(load_taps(parameter), out);
 }
 
-Status WeightStore::pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out) {
+Status WeightStore::pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out,
+                                Precision narrowest) {
   const std::vector<float> weight = load(layer.parameters[0]);
   const auto at = [&](int k, int n) { return weight[static_cast<std::size_t>(n * depth + k)]; };
-  return pack(depth, layer.output.channels, at, bias_of(layer), out);
+  const Precision precision = std::min(precision_for(depth), narrowest);
+  return pack(depth, layer.output.channels, at, bias_of(layer), precision, out);
 }
 
 Status WeightStore::pack3x3(const Layer& layer, int used, kernels::PackedMatrix& out) {
   const int channels = input_channels(layer);
   const Filters filters{load(layer.parameters[0]), channels, channels - used};
   const auto at = [&](int k, int n) { return filters.at(k % used, n, k / used); };
-  return pack(9 * used, layer.output.channels, at, bias_of(layer), out);
+  return pack(9 * used, layer.output.channels, at, bias_of(layer), Precision::kFloat32, out);
 }
 
 Status WeightStore::pack_upsampled(const Layer& layer, int count, kernels::PackedMatrix& out) {
   const int columns = layer.output.channels;
   const Filters filters{load(layer.parameters[0]), input_channels(layer), 0};
   const auto at = [&](int k, int n) { return filters.at(k, n % columns, n / columns); };
-  return pack(count, 9 * columns, at, {}, out);
+  return pack(count, 9 * columns, at, {}, precision_for(count), out);
 }
 
 Status WeightStore::pack_winograd(const Layer& layer, kernels::WinogradConv& out) {

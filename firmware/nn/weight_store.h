@@ -20,8 +20,11 @@ namespace lcdm {
 // that writes fails with kOutOfMemory alone.
 class WeightStore {
  public:
-  WeightStore(const ModelFile& model, ConstantStore& constants)
-      : model_(model), constants_(constants) {}
+  WeightStore(const ModelFile& model, ConstantStore& constants, Precision precision)
+      : model_(model), constants_(constants), precision_(precision) {}
+
+  // What products of rows of so many numbers are made in.
+  Precision precision_for(int numbers) const;
 
   // A parameter as it is in the file.
   Status store(const Parameter& parameter, const float*& out);
@@ -29,8 +32,9 @@ class WeightStore {
   Status store_taps(const Parameter& parameter, const float*& out);
 
   // The weight [columns, depth] and, where there is one, the bias of a 1x1 convolution or a linear
-  // layer.
-  Status pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out);
+  // layer; for products no narrower than `narrowest`.
+  Status pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out,
+                     Precision narrowest = Precision::kInt8);
   // The last `used` input channels of a 3x3 convolution, with its bias.
   Status pack3x3(const Layer& layer, int used, kernels::PackedMatrix& out);
   // The first `count`, one 1x1 convolution for each tap.
@@ -48,10 +52,11 @@ class WeightStore {
   std::vector<float> bias_of(const Layer& layer) const;
   Status store(std::span<const float> values, const float*& out);
   Status pack(int depth, int columns, const std::function<float(int, int)>& weight,
-              std::span<const float> bias, kernels::PackedMatrix& out);
+              std::span<const float> bias, Precision precision, kernels::PackedMatrix& out);
 
   const ModelFile& model_;
   ConstantStore& constants_;
+  Precision precision_;
 };
 
 }  // namespace lcdm

@@ -57,20 +57,27 @@ std::unique_ptr<Engine> prepare(const ModelFile& model, const EngineOptions& opt
   return std::move(*engine);
 }
 
+constexpr Precision kPrecisions[] = {Precision::kFloat32, Precision::kBfloat16, Precision::kInt8};
+
+void expect_same_bytes(const ModelFile& model, Precision precision) {
+  SCOPED_TRACE(to_string(precision));
+  Bench first;
+  ASSERT_TRUE(first.run(*prepare(model, {160, 96, 1, false, precision})));
+  for (const int threads : {1, 2, 3, 5}) {
+    const auto engine = prepare(model, {160, 96, threads, false, precision});
+    for (int round = 0; round < 3; ++round) {
+      Bench bench;
+      ASSERT_TRUE(bench.run(*engine));
+      ASSERT_EQ(bench.metres, first.metres) << threads << " threads, round " << round;
+      ASSERT_EQ(bench.millimetres, first.millimetres);
+    }
+  }
+}
+
 TEST(Engine, GivesTheSameBytesOnEveryRunAndForAnyNumberOfThreads) {
   for (const auto preset : {PresetKind::kLcdm, PresetKind::kPaper}) {
     const ModelFile model = make_model(EncoderKind::kXxs, preset);
-    Bench first;
-    ASSERT_TRUE(first.run(*prepare(model, {160, 96, 1})));
-    for (const int threads : {1, 2, 3, 5}) {
-      const auto engine = prepare(model, {160, 96, threads});
-      for (int round = 0; round < 3; ++round) {
-        Bench bench;
-        ASSERT_TRUE(bench.run(*engine));
-        ASSERT_EQ(bench.metres, first.metres) << threads << " threads, round " << round;
-        ASSERT_EQ(bench.millimetres, first.millimetres);
-      }
-    }
+    for (const Precision precision : kPrecisions) expect_same_bytes(model, precision);
   }
 }
 
@@ -96,12 +103,10 @@ TEST(Engine, OutlivesItsModelFile) {
   EXPECT_EQ(bench.metres, reference.metres);
 }
 
-TEST(Engine, AllocatesNothingWhileItRuns) {
-  const ModelFile model = make_model(EncoderKind::kXxs, PresetKind::kPaper);
-  const auto engine = prepare(model, {96, 96, 2});
+void expect_no_allocation(const ModelFile& model, Precision precision) {
+  const auto engine = prepare(model, {96, 96, 2, false, precision});
   Bench bench;
   ASSERT_TRUE(bench.run(*engine));  // makes the buffers
-  if (!alloc_watch::hooked()) GTEST_SKIP() << "allocations are not watched under sanitizers";
   const EngineStats stats = engine->stats();
   const DepthBuffer out = {stats.width, stats.height, bench.millimetres.data(), nullptr};
   FrameView broken = bench.frame;
@@ -115,6 +120,12 @@ TEST(Engine, AllocatesNothingWhileItRuns) {
   }
   alloc_watch::unseal_thread();
   EXPECT_EQ(alloc_watch::sealed_allocations() - before, 0U);
+}
+
+TEST(Engine, AllocatesNothingWhileItRuns) {
+  if (!alloc_watch::hooked()) GTEST_SKIP() << "allocations are not watched under sanitizers";
+  const ModelFile model = make_model(EncoderKind::kXxs, PresetKind::kPaper);
+  for (const Precision precision : kPrecisions) expect_no_allocation(model, precision);
 }
 
 TEST(Engine, DepthFollowsTheFocalLengthOfTheCamera) {

@@ -36,7 +36,22 @@ struct Product {
   int columns;
   Activation activation;
   bool residual;
+  Precision precision = Precision::kFloat32;
 };
+
+// Largest difference of a sum of `depth` products of numbers within 1: 2^-9 of each bfloat16 factor
+// in the worst case, half a step of either 8-bit factor.
+double tolerance_of(const Product& p) {
+  switch (p.precision) {
+    case Precision::kFloat32:
+      return 1e-5 * p.depth;
+    case Precision::kBfloat16:
+      return 1e-5 * p.depth + p.depth * 2.1 / 512;
+    case Precision::kInt8:
+      return 1e-5 * p.depth + p.depth * (1.01 / 255 + 1.01 / 254);
+  }
+  return 0;
+}
 
 void check_product(const Product& p, unsigned seed) {
   SCOPED_TRACE(testing::Message() << p.rows << " x " << p.depth << " x " << p.columns);
@@ -49,9 +64,10 @@ void check_product(const Product& p, unsigned seed) {
   const auto b = random.reals(index(p.depth, 0, p.columns));
   const auto bias = random.reals(static_cast<std::size_t>(p.columns));
   const auto residual = random.reals(index(p.rows, 0, p.columns));
-  std::vector<float> packed(packed_floats(p.depth, p.columns));
+  std::vector<float> packed(packed_floats(p.depth, p.columns, p.precision));
   const PackedMatrix matrix = pack_matrix(
-      p.depth, p.columns, [&](int k, int n) { return b[index(k, n, p.columns)]; }, bias, packed);
+      p.depth, p.columns, [&](int k, int n) { return b[index(k, n, p.columns)]; }, bias, packed,
+      p.precision);
   std::vector<float> out(residual.size() + 1, kUntouched);
 
   RowInput rows = {{a.data()}, 1, p.depth, p.depth, p.rows};
@@ -66,7 +82,7 @@ void check_product(const Product& p, unsigned seed) {
                static_cast<double>(b[index(k, n, p.columns)]);
       }
       if (p.residual) sum += static_cast<double>(residual[index(m, n, p.columns)]);
-      ASSERT_NEAR(out[index(m, n, p.columns)], activated(p.activation, sum), 1e-5 * p.depth)
+      ASSERT_NEAR(out[index(m, n, p.columns)], activated(p.activation, sum), tolerance_of(p))
           << m << ", " << n;
     }
   }
@@ -93,6 +109,64 @@ TEST(MatrixKernel, AppliesEveryActivation) {
          {Activation::kNone, Activation::kSilu, Activation::kElu, Activation::kRelu}) {
       check_product({13, 5, 21, activation, false}, 1);
       check_product({13, 5, 21, activation, true}, 2);
+    }
+  });
+}
+
+TEST(MatrixKernel, MultipliesPairsAndQuadsOfNarrowNumbers) {
+  for_each_isa([] {
+    unsigned seed = 0;
+    for (const Precision precision : {Precision::kBfloat16, Precision::kInt8}) {
+      if (support_of(precision) == Support::kNone) continue;
+      for (const int rows : {1, 3, 8, 13, 71, 300}) {
+        for (const int depth : {4, 8, 20, 44, 64, 148}) {
+          for (const int columns : {1, 8, 15, 17, 33, 48, 100}) {
+            check_product({rows, depth, columns, Activation::kSilu, seed % 2 == 0, precision},
+                          seed);
+            ++seed;
+          }
+        }
+      }
+    }
+  });
+}
+
+TEST(MatrixKernel, NarrowNumbersThatAreExactGiveExactSums) {
+  for_each_isa([] {
+    for (const Precision precision : {Precision::kBfloat16, Precision::kInt8}) {
+      if (support_of(precision) == Support::kNone) continue;
+      // 0 to 255 are bfloat16 and, from 0 to 255, bytes too; so are weights from -127 to 127.
+      constexpr int kDepth = 256;
+      std::vector<float> a(kDepth);
+      double expected = 3;
+      const auto weight = [](int k, int) { return static_cast<float>((k * 37) % 255 - 127); };
+      for (int k = 0; k < kDepth; ++k) {
+        a[static_cast<std::size_t>(k)] = static_cast<float>((k * 91) % 256);
+        expected +=
+            static_cast<double>(a[static_cast<std::size_t>(k)]) * static_cast<double>(weight(k, 0));
+      }
+      const float bias = 3;
+      std::vector<float> packed(packed_floats(kDepth, 1, precision));
+      const PackedMatrix matrix = pack_matrix(kDepth, 1, weight, {&bias, 1}, packed, precision);
+      float out = 0;
+      multiply_rows({{a.data()}, 1, kDepth, kDepth, 1}, matrix,
+                    {&out, nullptr, 1, Activation::kNone});
+      EXPECT_EQ(out, static_cast<float>(expected)) << to_string(precision);
+    }
+  });
+}
+
+TEST(MatrixKernel, ConstantRowsAndZeroWeightsHaveNoRangeAndStayRight) {
+  for_each_isa([] {
+    if (support_of(Precision::kInt8) == Support::kNone) return;
+    const std::vector<float> a(8, -2.5F);
+    for (const float w : {0.0F, 0.75F}) {
+      std::vector<float> packed(packed_floats(8, 1, Precision::kInt8));
+      const PackedMatrix matrix = pack_matrix(
+          8, 1, [w](int, int) { return w; }, {}, packed, Precision::kInt8);
+      float out = 1;
+      multiply_rows({{a.data()}, 1, 8, 8, 1}, matrix, {&out, nullptr, 1, Activation::kNone});
+      EXPECT_NEAR(out, 8 * -2.5F * w, 1e-5F);
     }
   });
 }
@@ -144,7 +218,7 @@ double expected_attention(const Attention& a, int position, int head, int query,
   return mixed / total;
 }
 
-void check_attention(int tokens, int head_channels) {
+void check_attention(int tokens, int head_channels, Precision precision = Precision::kFloat32) {
   SCOPED_TRACE(testing::Message() << tokens << " tokens, " << head_channels << " channels");
   Random random(static_cast<unsigned>(tokens * 100 + head_channels));
   Attention a;
@@ -152,6 +226,7 @@ void check_attention(int tokens, int head_channels) {
   a.heads = 4;
   a.tokens = tokens;
   a.channels = 4 * head_channels;
+  a.precision = precision;
   const auto values = static_cast<std::size_t>(a.positions) * static_cast<std::size_t>(tokens) *
                       static_cast<std::size_t>(a.channels);
   const auto qkv = random.reals(values * 3, -3, 3);
@@ -166,7 +241,7 @@ void check_attention(int tokens, int head_channels) {
     ASSERT_NEAR(out[i],
                 expected_attention(a, token / tokens, channel / head_channels, token % tokens,
                                    channel % head_channels),
-                1e-5)
+                precision == Precision::kFloat32 ? 1e-5 : 0.15)
         << i;
   }
 }
@@ -175,6 +250,17 @@ TEST(AttentionKernel, MixesValuesByTheSoftmaxOfScores) {
   for_each_isa([] {
     for (const int tokens : {1, 2, 5, 16, 31, 33, 40}) {
       for (const int head_channels : {1, 5, 16, 30}) check_attention(tokens, head_channels);
+    }
+  });
+}
+
+TEST(AttentionKernel, MixesBfloat16) {
+  for_each_isa([] {
+    if (support_of(Precision::kBfloat16) == Support::kNone) return;
+    for (const int tokens : {1, 2, 5, 16, 31, 33, 40, 131}) {
+      for (const int head_channels : {2, 16, 24, 30}) {
+        check_attention(tokens, head_channels, Precision::kBfloat16);
+      }
     }
   });
 }

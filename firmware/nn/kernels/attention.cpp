@@ -29,103 +29,192 @@ struct QueryTile {
   int count;                    // real queries, at most kQueries
   int tokens;
   int head_channels;
+  bool first_of_head;  // of this call; later ones find keys and values packed
 };
 
-// packed[c][query] = query[c] * scale; missing queries are zero.
-HWY_INLINE void pack_queries(const QueryTile& t, float scale, float* packed) {
-  std::fill_n(packed, static_cast<std::size_t>(t.head_channels) * kQueries, 0.0F);
+// The operand's numbers of one word, from rows that are `step` apart; what is beyond `count` is 0.
+template <class Operand, class D>
+HWY_INLINE hn::Vec<D> load_word(D d, const float* from, std::ptrdiff_t step, int count) {
+  if constexpr (Operand::kPrecision == Precision::kBfloat16) {
+    return pair_words(d, hn::LoadU(d, from), count > 1 ? hn::LoadU(d, from + step) : hn::Zero(d));
+  }
+  return hn::LoadU(d, from);
+}
+
+template <class Operand>
+constexpr int kPerWord = numbers_per_word(Operand::kPrecision);
+
+// Words of `count` rows of the operand.
+template <class Operand>
+constexpr int words_of(int count) {
+  return (count + kPerWord<Operand> - 1) / kPerWord<Operand>;
+}
+
+// What a tile works with, all in scratch.
+template <class Operand>
+struct Buffers {
+  float* queries;  // [words of head_channels, kQueries]
+  float* mixed;    // [head_channels, kQueries]
+  float* scores;   // [tokens, kQueries]; then words of two tokens each, from the front
+  float* keys;     // [tokens, words of head_channels]; floats stay where they are
+  float* values;   // [words of tokens, head_channels]
+
+  HWY_INLINE Buffers(const QueryTile& t, float* scratch) {
+    const auto channels = static_cast<std::size_t>(t.head_channels);
+    mixed = scratch;
+    queries = mixed + channels * kQueries;
+    scores = queries + channels * kQueries;
+    keys = scores + static_cast<std::size_t>(t.tokens) * kQueries;
+    values = keys + static_cast<std::size_t>(t.tokens) * channels;
+  }
+};
+
+// queries[c][query] = query[c] * scale; missing queries are zero.
+template <class Operand>
+HWY_INLINE void pack_queries(const QueryTile& t, float scale, const Buffers<Operand>& b) {
+  const FullTag d;
+  float* turned = b.mixed;  // not in use yet
+  std::fill_n(turned, static_cast<std::size_t>(t.head_channels) * kQueries, 0.0F);
   for (int q = 0; q < t.count; ++q) {
     for (int c = 0; c < t.head_channels; ++c) {
-      packed[static_cast<std::size_t>(c) * kQueries + q] =
+      turned[static_cast<std::size_t>(c) * kQueries + q] =
           t.queries[q * t.token_stride + c] * scale;
+    }
+  }
+  for (int c = 0; c < t.head_channels; c += kPerWord<Operand>) {
+    const float* from = turned + static_cast<std::size_t>(c) * kQueries;
+    float* to = b.queries + static_cast<std::size_t>(c / kPerWord<Operand>) * kQueries;
+    for (std::size_t q = 0; q < kQueries; q += kLanes) {
+      hn::StoreU(load_word<Operand>(d, from + q, kQueries, t.head_channels - c), d, to + q);
     }
   }
 }
 
-template <int MR>
-HWY_INLINE void score_rows(const QueryTile& t, int key, const float* packed, float* scores,
+// Keys and values as words, where they are not floats.
+template <class Operand>
+HWY_INLINE void pack_keys_and_values(const QueryTile& t, const Buffers<Operand>& b) {
+  for (int token = 0; token < t.tokens; ++token) {
+    Operand::narrow(t.keys + token * t.token_stride, t.head_channels,
+                    b.keys + token * words_of<Operand>(t.head_channels));
+  }
+  for (int token = 0; token < t.tokens; token += kPerWord<Operand>) {
+    const float* from = t.values + token * t.token_stride;
+    float* to = b.values + token / kPerWord<Operand> * t.head_channels;
+    for_channels(static_cast<std::size_t>(t.head_channels), [&](auto d, std::size_t c) HWY_ATTR {
+      hn::StoreU(load_word<Operand>(d, from + c, t.token_stride, t.tokens - token), d, to + c);
+    });
+  }
+}
+
+// A matrix of words that `accumulate` walks through.
+struct Walk {
+  const float* data;
+  std::ptrdiff_t row_stride;
+  std::ptrdiff_t k_stride;
+  int depth;
+};
+
+template <class Operand, int MR>
+HWY_INLINE void score_rows(const Walk& keys, int key, const Buffers<Operand>& b,
                            FullVec (&largest)[kQueryVectors]) {
   const FullTag d;
   FullVec acc[MR][kQueryVectors];
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) acc[m][v] = hn::Zero(d);
   }
-  accumulate<MR, kQueryVectors>(d, t.keys + key * t.token_stride, t.token_stride, 1,
-                                t.head_channels, packed, acc);
+  accumulate<Operand, MR, kQueryVectors>(d, keys.data + key * keys.row_stride, keys.row_stride,
+                                         keys.k_stride, keys.depth, b.queries, acc);
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) {
-      hn::StoreU(acc[m][v], d, scores + (key + m) * kQueries + v * kLanes);
+      hn::StoreU(acc[m][v], d, b.scores + (key + m) * kQueries + v * kLanes);
       largest[v] = hn::Max(largest[v], acc[m][v]);
     }
   }
 }
 
-// scores[key][query] <- exp(score - largest of the query); returns 1 / their sums.
-HWY_INLINE void softmax(const QueryTile& t, const FullVec (&largest)[kQueryVectors], float* scores,
-                        FullVec (&inverse)[kQueryVectors]) {
+// scores[key][query] <- exp(score - largest of the query), as words; returns 1 / their sums.
+template <class Operand>
+HWY_INLINE void softmax(const QueryTile& t, const FullVec (&largest)[kQueryVectors],
+                        const Buffers<Operand>& b, FullVec (&inverse)[kQueryVectors]) {
+  constexpr bool kPairs = kPerWord<Operand> == 2;
   const FullTag d;
   for (int v = 0; v < kQueryVectors; ++v) {
     FullVec sum = hn::Zero(d);
-    float* score = scores + v * kLanes;
-    for (int key = 0; key < t.tokens; ++key, score += kQueries) {
+    const float* score = b.scores + v * kLanes;
+    float* word = b.scores + v * kLanes;
+    const auto next = [&] HWY_ATTR {
       const FullVec e = exp_approx(d, hn::Sub(hn::LoadU(d, score), largest[v]));
-      hn::StoreU(e, d, score);
+      score += kQueries;
       sum = hn::Add(sum, e);
+      return e;
+    };
+    for (int key = 0; key < t.tokens; key += kPerWord<Operand>, word += kQueries) {
+      FullVec e = next();
+      if constexpr (kPairs) e = pair_words(d, e, key + 1 < t.tokens ? next() : hn::Zero(d));
+      hn::StoreU(e, d, word);
     }
     inverse[v] = hn::Div(hn::Set(d, 1.0F), sum);
   }
 }
 
 // mixed[c][query] = sum over keys of value[key][c] * scores[key][query] * inverse[query].
-template <int MR>
-HWY_INLINE void mix_rows(const QueryTile& t, int channel, const float* scores,
-                         const FullVec (&inverse)[kQueryVectors], float* mixed) {
+template <class Operand, int MR>
+HWY_INLINE void mix_rows(const Walk& values, int channel, const FullVec (&inverse)[kQueryVectors],
+                         const Buffers<Operand>& b) {
   const FullTag d;
   FullVec acc[MR][kQueryVectors];
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) acc[m][v] = hn::Zero(d);
   }
-  accumulate<MR, kQueryVectors>(d, t.values + channel, 1, t.token_stride, t.tokens, scores, acc);
+  accumulate<Operand, MR, kQueryVectors>(d, values.data + channel * values.row_stride,
+                                         values.row_stride, values.k_stride, values.depth, b.scores,
+                                         acc);
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) {
-      hn::StoreU(hn::Mul(acc[m][v], inverse[v]), d, mixed + (channel + m) * kQueries + v * kLanes);
+      hn::StoreU(hn::Mul(acc[m][v], inverse[v]), d,
+                 b.mixed + (channel + m) * kQueries + v * kLanes);
     }
   }
 }
 
-// `scratch` holds packed queries and mixed values [head_channels, kQueries] and the scores
-// [tokens, kQueries].
+template <class Operand>
 HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride, float* scratch) {
   constexpr int kRows = tile_rows<kQueryVectors>();
   const FullTag d;
-  float* packed = scratch;
-  float* mixed = packed + static_cast<std::size_t>(t.head_channels) * kQueries;
-  float* scores = mixed + static_cast<std::size_t>(t.head_channels) * kQueries;
-  pack_queries(t, 1.0F / std::sqrt(static_cast<float>(t.head_channels)), packed);
+  const Buffers<Operand> b(t, scratch);
+  pack_queries(t, 1.0F / std::sqrt(static_cast<float>(t.head_channels)), b);
+  const int channel_words = words_of<Operand>(t.head_channels);
+  Walk keys = {t.keys, t.token_stride, 1, channel_words};
+  Walk values = {t.values, 1, t.token_stride, words_of<Operand>(t.tokens)};
+  if constexpr (kPerWord < Operand >> 1) {
+    if (t.first_of_head) pack_keys_and_values(t, b);
+    keys = {b.keys, channel_words, 1, channel_words};
+    values = {b.values, 1, t.head_channels, words_of<Operand>(t.tokens)};
+  }
 
   FullVec largest[kQueryVectors];
   for (FullVec& v : largest) v = hn::Set(d, -3.0e38F);
   int key = 0;
-  for (; key + kRows <= t.tokens; key += kRows) {
-    score_rows<kRows>(t, key, packed, scores, largest);
-  }
-  for (; key < t.tokens; ++key) score_rows<1>(t, key, packed, scores, largest);
+  for (; key + kRows <= t.tokens; key += kRows) score_rows<Operand, kRows>(keys, key, b, largest);
+  for (; key < t.tokens; ++key) score_rows<Operand, 1>(keys, key, b, largest);
 
   FullVec inverse[kQueryVectors];
-  softmax(t, largest, scores, inverse);
+  softmax(t, largest, b, inverse);
 
   int channel = 0;
   for (; channel + kRows <= t.head_channels; channel += kRows) {
-    mix_rows<kRows>(t, channel, scores, inverse, mixed);
+    mix_rows<Operand, kRows>(values, channel, inverse, b);
   }
   for (; channel + 2 <= t.head_channels; channel += 2) {
-    mix_rows<2>(t, channel, scores, inverse, mixed);
+    mix_rows<Operand, 2>(values, channel, inverse, b);
   }
-  for (; channel < t.head_channels; ++channel) mix_rows<1>(t, channel, scores, inverse, mixed);
+  for (; channel < t.head_channels; ++channel) {
+    mix_rows<Operand, 1>(values, channel, inverse, b);
+  }
 
   for (int q = 0; q < t.count; ++q) {
     for (int c = 0; c < t.head_channels; ++c) {
-      out[q * out_stride + c] = mixed[static_cast<std::size_t>(c) * kQueries + q];
+      out[q * out_stride + c] = b.mixed[static_cast<std::size_t>(c) * kQueries + q];
     }
   }
 }
@@ -151,8 +240,14 @@ void attend_range(const Attention& a, int begin, int end, float* scratch) {
                             token_stride,
                             std::min(static_cast<int>(kQueries), a.tokens - first),
                             a.tokens,
-                            static_cast<int>(head_channels)};
-    attend(tile, a.output + (token + first) * channels + head * head_channels, a.channels, scratch);
+                            static_cast<int>(head_channels),
+                            item == begin || first == 0};
+    float* out = a.output + (token + first) * channels + head * head_channels;
+    if (a.precision == Precision::kBfloat16) {
+      attend<Bfloat16Operand>(tile, out, channels, scratch);
+    } else {
+      attend<FloatOperand>(tile, out, channels, scratch);
+    }
   }
 }
 
@@ -174,9 +269,11 @@ int attention_items(const Attention& a) {
 }
 
 std::size_t attention_scratch(const Attention& a) {
-  const std::size_t rows =
-      static_cast<std::size_t>(a.tokens) + 2 * static_cast<std::size_t>(a.channels / a.heads);
-  return rows * static_cast<std::size_t>(HWY_DYNAMIC_DISPATCH(query_tile)());
+  const auto tokens = static_cast<std::size_t>(a.tokens);
+  const auto head_channels = static_cast<std::size_t>(a.channels / a.heads);
+  const std::size_t rows = tokens + 2 * head_channels;  // of a tile's queries
+  return rows * static_cast<std::size_t>(HWY_DYNAMIC_DISPATCH(query_tile)()) +
+         2 * tokens * head_channels;
 }
 
 void attention_range(const Attention& a, int begin, int end, float* scratch) {

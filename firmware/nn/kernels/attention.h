@@ -3,6 +3,8 @@
 
 #include <cstddef>
 
+#include "firmware/nn/network.h"
+
 namespace lcdm::kernels {
 
 // softmax(q k^T / sqrt(channels / heads)) v for each position and head (NETWORK.md, "Encoder").
@@ -12,7 +14,8 @@ struct Attention {
   int tokens = 0;
   int channels = 0;
   int heads = 0;
-  float* output = nullptr;  // [positions, tokens, channels]
+  float* output = nullptr;                    // [positions, tokens, channels]
+  Precision precision = Precision::kFloat32;  // or kBfloat16, where channels / heads is even
 };
 
 // The work is cut into items: one tile of queries of one head of one position each.

@@ -11,7 +11,7 @@
 #include <cstring>
 
 #include "firmware/nn/kernels/conv.h"
-#include "firmware/nn/kernels/gemm-inl.h"
+#include "firmware/nn/kernels/math-inl.h"
 #include "firmware/nn/kernels/rows-inl.h"
 #include "firmware/nn/kernels/upsampled-inl.h"
 
@@ -68,7 +68,7 @@ class ConvRows {
                              3 * conv_->channels,
                              static_cast<std::ptrdiff_t>(conv_->stride) * conv_->channels,
                              conv_->width / conv_->stride};
-      multiply(rows, conv_->weights, {out, share_, conv_->weights.columns, conv_->activation});
+      multiply_rows(rows, conv_->weights, {out, share_, conv_->weights.columns, conv_->activation});
     }
     if (conv_->output == nullptr || !own_.has(y)) return;
     float* kept = conv_->output + static_cast<std::size_t>(y) * out_floats();

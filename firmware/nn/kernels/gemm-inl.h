@@ -1,4 +1,5 @@
-// The register tile under every convolution, linear layer and attention product.
+// The register tile under every convolution, linear layer and attention product. Compiled where
+// matrix.h's calls are, and in attention, which has rows of its own.
 #if defined(LCDM_KERNELS_GEMM_INL_H) == defined(HWY_TARGET_TOGGLE)
 #ifdef LCDM_KERNELS_GEMM_INL_H
 #undef LCDM_KERNELS_GEMM_INL_H
@@ -11,6 +12,7 @@
 
 #include "firmware/nn/kernels/math-inl.h"
 #include "firmware/nn/kernels/matrix.h"
+#include "firmware/nn/kernels/operand-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
@@ -28,8 +30,8 @@ constexpr int tile_rows() {
 
 // acc[m][v] += sum over k of a[m * row_stride + k * k_stride] * b[k][v], in the order of k whatever
 // the tile: so results do not depend on how rows are cut into tiles. b is packed, NV full vectors a
-// row, of which vectors of tag d are used.
-template <int MR, int NV, class D>
+// row, of which vectors of tag d are used. k counts words of the operand, `depth` of them.
+template <class Operand, int MR, int NV, class D>
 HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::ptrdiff_t k_stride,
                            int depth, const float* b, hn::Vec<D> (&acc)[MR][NV]) {
   const float* row[MR];
@@ -39,7 +41,7 @@ HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::
     LCDM_UNROLL for (int v = 0; v < NV; ++v) w[v] = hn::LoadU(d, b + v * kLanes);
     LCDM_UNROLL for (int m = 0; m < MR; ++m) {
       const auto x = hn::Set(d, row[m][k]);
-      LCDM_UNROLL for (int v = 0; v < NV; ++v) acc[m][v] = hn::MulAdd(x, w[v], acc[m][v]);
+      LCDM_UNROLL for (int v = 0; v < NV; ++v) acc[m][v] = Operand::dot(d, x, w[v], acc[m][v]);
     }
   }
 }
@@ -72,57 +74,137 @@ HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns
   }
 }
 
+// Rows as words of the operand: those of a RowInput, with lengths and strides in words.
+struct Words {
+  RowInput rows;
+  const RowRange* ranges = nullptr;  // kInt8: of each row
+};
+
+// Where a panel stands in its matrix.
+struct Panel {
+  const PackedMatrix& matrix;
+  int column;
+
+  const float* words() const {
+    const int per_word = numbers_per_word(matrix.precision);
+    return matrix.panels + static_cast<std::size_t>(column) * (matrix.depth / per_word);
+  }
+};
+
+// What the sums begin with.
+template <class Operand, class D>
+HWY_INLINE hn::Vec<D> first_sum(D d, const Panel& panel, int v) {
+  if constexpr (Operand::kPrecision == Precision::kInt8) return hn::Zero(d);
+  return hn::LoadU(d, panel.matrix.bias + panel.column + v * kLanes);
+}
+
+// What they mean: (low + scale * byte) * weight summed is scale * (bytes * weight) + low * sum.
+template <class Operand, class D>
+HWY_INLINE hn::Vec<D> to_float(D d, hn::Vec<D> sum, const Panel& panel, int v, const Words& a,
+                               int row) {
+  if constexpr (Operand::kPrecision == Precision::kInt8) {
+    const hn::RebindToSigned<D> di;
+    const std::ptrdiff_t at = panel.column + v * static_cast<int>(kLanes);
+    const auto scale =
+        hn::Mul(hn::Set(d, a.ranges[row].scale), hn::LoadU(d, panel.matrix.scale + at));
+    const auto rest =
+        hn::MulAdd(hn::Set(d, a.ranges[row].low), hn::LoadU(d, panel.matrix.sums + at),
+                   hn::LoadU(d, panel.matrix.bias + at));
+    return hn::MulAdd(hn::ConvertTo(d, hn::BitCast(di, sum)), scale, rest);
+  }
+  return sum;
+}
+
 // One tile of MR rows of one panel.
-template <int MR, int NV, class D>
-HWY_NOINLINE void tile(D d, const RowInput& a, int row, const float* panel, const float* bias,
-                       const RowOutput& o, int column, int columns) {
+template <class Operand, int MR, int NV, class D>
+HWY_NOINLINE void tile(D d, const Words& a, int row, const Panel& panel, const RowOutput& o) {
   hn::Vec<D> acc[MR][NV];
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
-    LCDM_UNROLL for (int v = 0; v < NV; ++v) acc[m][v] = hn::LoadU(d, bias + v * kLanes);
+    LCDM_UNROLL for (int v = 0; v < NV; ++v) acc[m][v] = first_sum<Operand>(d, panel, v);
   }
-  for (int r = 0; r < a.runs; ++r) {
-    accumulate<MR, NV>(d, a.run[r] + row * a.stride, a.stride, 1, a.run_length,
-                       panel + static_cast<std::size_t>(r) * a.run_length * NV * kLanes, acc);
+  const RowInput& rows = a.rows;
+  const float* words = panel.words();
+  for (int r = 0; r < rows.runs; ++r) {
+    accumulate<Operand, MR, NV>(d, rows.run[r] + row * rows.stride, rows.stride, 1, rows.run_length,
+                                words + static_cast<std::size_t>(r) * rows.run_length * NV * kLanes,
+                                acc);
+  }
+  LCDM_UNROLL for (int m = 0; m < MR; ++m) {
+    LCDM_UNROLL for (int v = 0; v < NV; ++v) {
+      acc[m][v] = to_float<Operand>(d, acc[m][v], panel, v, a, row + m);
+    }
   }
   with_activation(o.activation, [&](auto kind) HWY_ATTR {
-    finish<decltype(kind)::value, MR, NV>(d, o, row, column, columns, acc);
+    finish<decltype(kind)::value, MR, NV>(d, o, row, panel.column,
+                                          panel.matrix.columns - panel.column, acc);
   });
 }
 
 // All rows of one panel: full tiles, then halves of them.
-template <int NV, class D>
-HWY_INLINE void panel_rows(D d, const RowInput& a, const float* panel, const float* bias,
-                           const RowOutput& o, int column, int columns) {
+template <class Operand, int NV, class D>
+HWY_INLINE void panel_rows(D d, const Words& a, const Panel& panel, const RowOutput& o) {
   constexpr int kRows = tile_rows<NV>();
+  const int count = a.rows.rows;
   int row = 0;
-  for (; row + kRows <= a.rows; row += kRows) {
-    tile<kRows, NV>(d, a, row, panel, bias, o, column, columns);
-  }
+  for (; row + kRows <= count; row += kRows) tile<Operand, kRows, NV>(d, a, row, panel, o);
   if constexpr (kRows > 4) {
-    for (; row + 4 <= a.rows; row += 4) tile<4, NV>(d, a, row, panel, bias, o, column, columns);
+    for (; row + 4 <= count; row += 4) tile<Operand, 4, NV>(d, a, row, panel, o);
   }
-  for (; row + 2 <= a.rows; row += 2) tile<2, NV>(d, a, row, panel, bias, o, column, columns);
-  for (; row < a.rows; ++row) tile<1, NV>(d, a, row, panel, bias, o, column, columns);
+  for (; row + 2 <= count; row += 2) tile<Operand, 2, NV>(d, a, row, panel, o);
+  for (; row < count; ++row) tile<Operand, 1, NV>(d, a, row, panel, o);
 }
 
-// o[row][n] = activation(bias[n] + sum over runs and k of a * b + residual).
-HWY_INLINE void multiply(const RowInput& a, const PackedMatrix& b, const RowOutput& o) {
+// o[row][n] = activation(bias[n] + sum over runs and k of a * b + residual), of rows that are words
+// of the matrix's own operand.
+template <class Operand>
+HWY_INLINE void multiply_block(const Words& a, const PackedMatrix& b, const RowOutput& o) {
   const int panel_columns = kPanelVectors * static_cast<int>(kLanes);
   for (int column = 0; column < b.columns; column += panel_columns) {
-    const float* panel = b.panels + static_cast<std::size_t>(column) * b.depth;
-    const float* bias = b.bias + column;
+    const Panel panel = {b, column};
     const int columns = b.columns - column;
     const FullTag d;
     const HWY_CAPPED(float, 8) eight;
     if (columns > 2 * static_cast<int>(kLanes)) {
-      panel_rows<3>(d, a, panel, bias, o, column, columns);
+      panel_rows<Operand, 3>(d, a, panel, o);
     } else if (columns > static_cast<int>(kLanes)) {
-      panel_rows<2>(d, a, panel, bias, o, column, columns);
+      panel_rows<Operand, 2>(d, a, panel, o);
     } else if (kLanes > 8 && columns <= 8) {
-      panel_rows<1>(eight, a, panel, bias, o, column, columns);  // half a vector costs half
+      panel_rows<Operand, 1>(eight, a, panel, o);  // half a vector costs half
     } else {
-      panel_rows<1>(d, a, panel, bias, o, column, columns);
+      panel_rows<Operand, 1>(d, a, panel, o);
     }
+  }
+}
+
+HWY_INLINE RowOutput rows_from(RowOutput o, std::ptrdiff_t row) {
+  o.data += row * o.stride;
+  if (o.residual != nullptr) o.residual += row * o.stride;
+  return o;
+}
+
+// The same of rows of floats in one run, made narrow some at a time. Slices of a layer begin at
+// multiples of kRowsOfRange, or where an image row does: so who shares a range is always the same.
+constexpr int kRowsOfRange = 8;
+
+template <class Operand>
+HWY_NOINLINE void multiply_narrowed(const RowInput& a, const PackedMatrix& b, const RowOutput& o) {
+  constexpr int kWords = 4096;  // half of a first cache of 32 KB
+  constexpr int kMostRows = 128;
+  HWY_ALIGN float words[kWords];
+  RowRange ranges[kMostRows];
+  const int row_words = b.depth / numbers_per_word(b.precision);
+  int block = kWords / row_words;
+  block = block < 8 ? block : block / 8 * 8;
+  block = block < kMostRows ? block : kMostRows;
+  for (int row = 0; row < a.rows; row += block) {
+    const int rows = a.rows - row < block ? a.rows - row : block;
+    for (int m = 0; m < rows; m += kRowsOfRange) {
+      const int together = rows - m < kRowsOfRange ? rows - m : kRowsOfRange;
+      Operand::narrow_rows(a.run[0] + (row + m) * a.stride, a.stride, together, b.depth,
+                           words + m * row_words, ranges + m);
+    }
+    const Words narrow = {{{words}, 1, row_words, row_words, rows}, ranges};
+    multiply_block<Operand>(narrow, b, rows_from(o, row));
   }
 }
 

@@ -9,7 +9,7 @@
 #include "firmware/nn/kernels/simd.h"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
-#include "firmware/nn/kernels/gemm-inl.h"
+#include "firmware/nn/kernels/math-inl.h"
 // clang-format on
 
 HWY_BEFORE_NAMESPACE();
@@ -64,7 +64,7 @@ class Strip {
     const std::size_t pixel = static_cast<std::size_t>(row) * b_.width + begin;
     const RowInput pixels = {
         {b_.input + pixel * b_.channels}, 1, b_.channels, b_.channels, end - begin};
-    multiply(pixels, b_.expand, {first, nullptr, b_.hidden, Activation::kSilu});
+    multiply_rows(pixels, b_.expand, {first, nullptr, b_.hidden, Activation::kSilu});
     float* last = first + static_cast<std::size_t>(end - begin) * hidden();
     std::memset(last, 0,
                 static_cast<std::size_t>(left_ + window_ - end) * hidden() * sizeof(float));
@@ -120,8 +120,8 @@ class Strip {
     }
     const std::size_t at = pixel * b_.project.columns;
     const float* residual = b_.residual != nullptr ? b_.residual + at : nullptr;
-    multiply({{filtered_}, 1, b_.hidden, b_.hidden, columns_}, b_.project,
-             {b_.output + at, residual, b_.project.columns, Activation::kNone});
+    multiply_rows({{filtered_}, 1, b_.hidden, b_.hidden, columns_}, b_.project,
+                  {b_.output + at, residual, b_.project.columns, Activation::kNone});
   }
 
   const InvertedResidual& b_;

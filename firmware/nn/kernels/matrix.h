@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <span>
 
@@ -10,24 +11,49 @@
 namespace lcdm::kernels {
 
 // Columns are cut into panels of kPanelVectors vectors, the last one into as many as it needs.
-// A panel holds for each k its columns side by side, padded with zeros to whole vectors.
+// A panel holds for each word of k its columns side by side, padded with zeros to whole vectors.
 inline constexpr int kPanelVectors = 3;
+
+// Consecutive k that share 32 bits of a panel, and of a row that meets it.
+constexpr int numbers_per_word(Precision precision) {
+  switch (precision) {
+    case Precision::kFloat32:
+      return 1;
+    case Precision::kBfloat16:
+      return 2;
+    case Precision::kInt8:
+      return 4;
+  }
+  return 1;
+}
 
 // Borrowed: the engine owns the packed block.
 struct PackedMatrix {
-  const float* panels = nullptr;
-  const float* bias = nullptr;  // [columns rounded up to whole vectors]
-  int depth = 0;                // K
-  int columns = 0;              // N
+  const float* panels = nullptr;  // words of `precision`
+  const float* bias = nullptr;    // [columns rounded up to whole vectors], as the next two
+  int depth = 0;                  // K
+  int columns = 0;                // N
+  Precision precision = Precision::kFloat32;
+  const float* scale = nullptr;  // kInt8: weight = scale * byte
+  const float* sums = nullptr;   // kInt8: of each column's weights, as they were rounded
 };
 
 // Floats in a vector on this processor; packing depends on it.
 int vector_lanes();
-// Floats that pack_matrix writes: panels, then bias.
-std::size_t packed_floats(int depth, int columns);
-// Packs weight(k, n) and bias[n] (empty: zeros) into `out` and returns the view of it.
+// How products of that precision are made on this processor. An AVX-512 processor without the
+// instructions has no other path for them.
+enum class Support : std::uint8_t { kNone, kSlow, kNative };
+Support support_of(Precision precision);
+// The one asked for where it is native and cuts rows of so many numbers evenly, else the next
+// wider.
+Precision native_precision(Precision wanted, int numbers);
+// Floats that pack_matrix writes: panels, bias, and scale and sums where there are some.
+std::size_t packed_floats(int depth, int columns, Precision precision = Precision::kFloat32);
+// Packs weight(k, n) and bias[n] (empty: zeros) into `out` and returns the view of it. `depth` is a
+// multiple of numbers_per_word.
 PackedMatrix pack_matrix(int depth, int columns, const std::function<float(int, int)>& weight,
-                         std::span<const float> bias, std::span<float> out);
+                         std::span<const float> bias, std::span<float> out,
+                         Precision precision = Precision::kFloat32);
 
 // Rows to multiply: row m is the concatenation of `runs` pieces, each `run_length` floats from
 // run[r] + m * stride. runs * run_length is the matrix's depth.
@@ -56,7 +82,8 @@ struct RowOutput {
   Activation activation = Activation::kNone;
 };
 
-// out = activation(a * b + bias + residual), over all rows of `a`.
+// out = activation(a * b + bias + residual), over all rows of `a`. Where the matrix is narrow, rows
+// of one run are made so on the way, eight at a time: results depend on which eight those are.
 void multiply_rows(const RowInput& a, const PackedMatrix& b, const RowOutput& out);
 
 }  // namespace lcdm::kernels

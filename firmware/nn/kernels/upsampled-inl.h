@@ -15,7 +15,7 @@
 #include <cstddef>
 
 #include "firmware/nn/kernels/conv.h"
-#include "firmware/nn/kernels/gemm-inl.h"
+#include "firmware/nn/kernels/math-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
@@ -76,7 +76,7 @@ class UpsampledRows {
                              s_.channels,
                              s_.channels,
                              s_.width};
-    multiply(pixels, s_.taps, {slot(row), nullptr, s_.taps.columns, Activation::kNone});
+    multiply_rows(pixels, s_.taps, {slot(row), nullptr, s_.taps.columns, Activation::kNone});
   }
 
   // sums_[x][tap column][c]: the taps' rows with their weights.

@@ -99,7 +99,7 @@ class Batch {
                                 conv_.channels,
                                 conv_.channels,
                                 static_cast<int>(count)};
-      multiply(
+      multiply_rows(
           patches, matrix,
           {products_ + f * tiles() * columns_, nullptr, conv_.weights.columns, Activation::kNone});
     }
