@@ -249,10 +249,20 @@ TEST(DepthToMillimetres, RoundsAndMarksWhatHasNoValue) {
                                      1e9F,
                                      std::numeric_limits<float>::infinity(),
                                      std::numeric_limits<float>::quiet_NaN()};
-  std::vector<std::uint16_t> millimetres(metres.size());
-  depth_to_millimetres(metres, millimetres);
-  EXPECT_EQ(millimetres,
-            (std::vector<std::uint16_t>{1000, 1234, 1, 0, 0, 0, 65534, 65535, 65535, 65535, 0}));
+  const std::vector<std::uint16_t> expected = {1000,  1234,  1,     0,     0, 0,
+                                               65534, 65535, 65535, 65535, 0};
+  test::for_each_isa([&] {
+    for (std::size_t first = 0; first < metres.size(); ++first) {  // each in every lane
+      std::vector<float> in(first + 64, 1.0F);
+      std::copy(metres.begin(), metres.end(), in.begin() + static_cast<std::ptrdiff_t>(first));
+      std::vector<std::uint16_t> out(in.size());
+      depth_to_millimetres(in, out);
+      const auto begin = out.begin() + static_cast<std::ptrdiff_t>(first);
+      ASSERT_EQ(
+          std::vector<std::uint16_t>(begin, begin + static_cast<std::ptrdiff_t>(metres.size())),
+          expected);
+    }
+  });
 }
 
 }  // namespace
