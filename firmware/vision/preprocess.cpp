@@ -1,7 +1,9 @@
 #include "firmware/vision/preprocess.h"
 
 #include <algorithm>
+#include <cstring>
 #include <span>
+#include <utility>
 
 #include "firmware/base/check.h"
 #include "firmware/vision/resample.h"
@@ -10,15 +12,20 @@
 namespace lcdm {
 namespace {
 
-// Three bytes a pixel, used as they are: in which order is a matter of the end.
+// Three bytes a pixel, used as they are: their order is a matter of the end.
 bool has_rgb_bytes(PixelFormat pixel) {
   return pixel == PixelFormat::kRgb24 || pixel == PixelFormat::kBgr24;
+}
+
+template <typename T>
+std::size_t bytes_of(const std::vector<T>& values) {
+  return values.size() * sizeof(T);
 }
 
 }  // namespace
 
 Result<Preprocess> Preprocess::prepare(const FrameFormat& format, int width, int height,
-                                       int workers) {
+                                       int workers, std::vector<CameraBox> lens_map) {
   if (format.pixel == PixelFormat::kMjpeg) {
     return Status::error(StatusCode::kUnsupported, "MJPEG frames must be decoded before inference");
   }
@@ -31,18 +38,53 @@ Result<Preprocess> Preprocess::prepare(const FrameFormat& format, int width, int
   Preprocess out;
   out.format_ = format;
   out.width_ = width;
-  out.columns_ = make_axis_table(format.width, width);
-  out.rows_ = make_axis_table(format.height, height);
-  const auto values = static_cast<std::size_t>(format.width) * 3;
-  const auto taps = static_cast<std::size_t>(out.rows_.taps);
-  Scratch scratch;
-  if (!has_rgb_bytes(format.pixel)) scratch.rgb.resize(taps * values);
-  scratch.held.resize(taps);
-  scratch.taps.resize(taps);
-  scratch.weights.resize(taps);
-  scratch.blended.resize(values + 1);
-  out.scratch_.assign(static_cast<std::size_t>(workers), scratch);
+  if (lens_map.empty()) {
+    out.columns_ = make_axis_table(format.width, width);
+    out.rows_ = make_axis_table(format.height, height);
+  } else {
+    out.take_map(std::move(lens_map), height);
+  }
+  out.make_scratch(workers);
   return out;
+}
+
+void Preprocess::take_map(std::vector<CameraBox> lens_map, int height) {
+  const auto width = static_cast<std::size_t>(width_);
+  LCDM_CHECK(lens_map.size() == width * static_cast<std::size_t>(height));
+  lens_map_ = std::move(lens_map);
+  for (std::size_t first = 0; first < lens_map_.size(); first += width) {
+    Rows rows = {format_.height, 0};
+    for (const CameraBox& box : std::span(lens_map_).subspan(first, width)) {
+      LCDM_CHECK(box.columns.first() >= 0 && box.columns.first() < format_.width);
+      LCDM_CHECK(box.rows.first() >= 0 && box.rows.first() < format_.height);
+      rows.begin = std::min(rows.begin, box.rows.first());
+      rows.end = std::max(rows.end, box.rows.last(format_.height));
+      most_columns_ =
+          std::max(most_columns_,
+                   static_cast<std::size_t>(box.columns.last(format_.width) - box.columns.first()));
+    }
+    lens_rows_.push_back(rows);
+  }
+}
+
+void Preprocess::make_scratch(int workers) {
+  const auto values = static_cast<std::size_t>(format_.width) * 3;
+  auto slots = static_cast<std::size_t>(rows_.taps);
+  for (const Rows& rows : lens_rows_) {
+    slots = std::max(slots, static_cast<std::size_t>(rows.end - rows.begin));
+  }
+  Scratch scratch;
+  if (uses_own_rows()) scratch.pixels.resize(slots * values + 1);
+  scratch.held.resize(slots);
+  scratch.rows.resize(slots);
+  scratch.weights.resize(std::max(slots, most_columns_));
+  scratch.blended.resize(values + 1);
+  scratch_.assign(static_cast<std::size_t>(workers), scratch);
+}
+
+// Whether rows are copied before they are used: converted, or with a byte behind them.
+bool Preprocess::uses_own_rows() const {
+  return !has_rgb_bytes(format_.pixel) || !lens_map_.empty();
 }
 
 Status Preprocess::check(const FrameView& frame) const noexcept {
@@ -65,36 +107,73 @@ Status Preprocess::check(const FrameView& frame) const noexcept {
 // Row `y` of the camera's picture as three bytes a pixel.
 const std::uint8_t* Preprocess::camera_row(const FrameView& frame, int y,
                                            Scratch& scratch) const noexcept {
-  if (has_rgb_bytes(format_.pixel)) {
-    return frame.data + static_cast<std::size_t>(y) * static_cast<std::size_t>(format_.stride);
-  }
+  const std::uint8_t* bytes =
+      frame.data + static_cast<std::size_t>(y) * static_cast<std::size_t>(format_.stride);
+  if (!uses_own_rows()) return bytes;
+  const std::size_t values = static_cast<std::size_t>(format_.width) * 3;
   const std::size_t slot = static_cast<std::size_t>(y) % scratch.held.size();
-  std::uint8_t* row = scratch.rgb.data() + slot * static_cast<std::size_t>(format_.width) * 3;
-  if (scratch.held[slot] != y) rgb_row(frame, y, row);
+  std::uint8_t* row = scratch.pixels.data() + slot * values;
+  if (scratch.held[slot] == y) return row;
   scratch.held[slot] = y;
+  if (has_rgb_bytes(format_.pixel)) {
+    std::memcpy(row, bytes, values);
+  } else {
+    rgb_row(frame, y, row);
+  }
   return row;
+}
+
+void Preprocess::resize_row(const FrameView& frame, int y, Scratch& scratch,
+                            float* out) const noexcept {
+  const auto row = static_cast<std::size_t>(y);
+  const auto all_taps = static_cast<std::size_t>(rows_.taps);
+  std::size_t taps = 0;
+  for (std::size_t t = 0; t < all_taps; ++t) {
+    const float weight = rows_.weights[row * all_taps + t];
+    if (weight == 0.0F) continue;
+    scratch.rows[taps] = camera_row(frame, rows_.first[row] + static_cast<int>(t), scratch);
+    scratch.weights[taps++] = weight;
+  }
+  blend_rows(std::span(scratch.rows).first(taps), std::span(scratch.weights).first(taps),
+             std::span(scratch.blended).first(scratch.blended.size() - 1));
+  blend_columns(columns_, scratch.blended.data(), format_.pixel == PixelFormat::kBgr24,
+                {out, static_cast<std::size_t>(width_) * 3});
+}
+
+void Preprocess::undistort_row(const FrameView& frame, int y, Scratch& scratch,
+                               float* out) const noexcept {
+  const auto [begin, end] = lens_rows_[static_cast<std::size_t>(y)];
+  const auto count = static_cast<std::size_t>(end - begin);
+  for (std::size_t i = 0; i < count; ++i) {
+    scratch.rows[i] = camera_row(frame, begin + static_cast<int>(i), scratch);
+  }
+  const auto width = static_cast<std::size_t>(width_);
+  average_boxes({std::span(scratch.rows).first(count), begin, format_.width},
+                std::span(lens_map_).subspan(static_cast<std::size_t>(y) * width, width),
+                format_.pixel == PixelFormat::kBgr24, scratch.weights, out);
 }
 
 void Preprocess::run_rows(const FrameView& frame, int worker, int begin, int end,
                           float* out) noexcept {
   Scratch& scratch = scratch_[static_cast<std::size_t>(worker)];
   std::fill(scratch.held.begin(), scratch.held.end(), -1);  // those of another frame
-  const std::size_t out_values = static_cast<std::size_t>(width_) * 3;
-  const std::size_t row_values = static_cast<std::size_t>(format_.width) * 3;
-  for (auto y = static_cast<std::size_t>(begin); y < static_cast<std::size_t>(end); ++y) {
-    std::size_t taps = 0;
-    for (int t = 0; t < rows_.taps; ++t) {
-      const float weight =
-          rows_.weights[y * static_cast<std::size_t>(rows_.taps) + static_cast<std::size_t>(t)];
-      if (weight == 0.0F) continue;
-      scratch.taps[taps] = camera_row(frame, rows_.first[y] + t, scratch);
-      scratch.weights[taps++] = weight;
+  for (int y = begin; y < end; ++y) {
+    float* row = out + static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) * 3;
+    if (lens_map_.empty()) {
+      resize_row(frame, y, scratch, row);
+    } else {
+      undistort_row(frame, y, scratch, row);
     }
-    blend_rows(std::span(scratch.taps).first(taps), std::span(scratch.weights).first(taps),
-               std::span(scratch.blended).first(row_values));
-    blend_columns(columns_, scratch.blended.data(), format_.pixel == PixelFormat::kBgr24,
-                  {out + y * out_values, out_values});
   }
+}
+
+std::size_t Preprocess::bytes() const {
+  const Scratch& one = scratch_.front();
+  const std::size_t scratch = bytes_of(one.pixels) + bytes_of(one.held) + bytes_of(one.rows) +
+                              bytes_of(one.weights) + bytes_of(one.blended);
+  return scratch_.size() * scratch + bytes_of(lens_map_) + bytes_of(lens_rows_) +
+         bytes_of(columns_.first) + bytes_of(columns_.weights) + bytes_of(rows_.first) +
+         bytes_of(rows_.weights);
 }
 
 }  // namespace lcdm
