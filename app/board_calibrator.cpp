@@ -13,7 +13,7 @@
 namespace lcdm {
 namespace {
 
-constexpr int kCells = 4;                  // along each side of the picture
+constexpr std::size_t kCells = 4;          // along each side of the picture
 constexpr double kSmallestSquare = 10;     // pixels
 constexpr double kBlurredEdge = 4;         // pixels from dark to light, of 640 across
 constexpr double kSameView = 0.02;         // mean way of the corners, of the picture's diagonal
@@ -39,11 +39,11 @@ std::array<int, kCells * kCells> count_cells(const std::vector<std::vector<Point
                                              int width, int height) {
   std::array<int, kCells * kCells> counts{};
   const auto cell = [](double at, int size) {
-    return std::clamp(static_cast<int>(at * kCells / size), 0, kCells - 1);
+    return static_cast<std::size_t>(std::clamp(at * kCells / size, 0.0, kCells - 1.0));
   };
   for (const auto& view : views) {
     for (const Point& corner : view) {
-      ++counts[static_cast<std::size_t>(cell(corner.y, height) * kCells + cell(corner.x, width))];
+      ++counts[cell(corner.y, height) * kCells + cell(corner.x, width)];
     }
   }
   return counts;

@@ -49,9 +49,11 @@ std::vector<Field> fields_of(Calibration& c, int& version) {
   return fields;
 }
 
-std::string name_of(const Field& field) {
-  return *field.section == '\0' ? field.key : std::string(field.section) + "." + field.key;
+std::string name_of(const std::string& section, const std::string& key) {
+  return section.empty() ? key : section + "." + key;
 }
+
+std::string name_of(const Field& field) { return name_of(field.section, field.key); }
 
 Status read_text(const Field& field, const std::string& place, const toml::value& value,
                  std::string& out) {
@@ -93,8 +95,8 @@ Status read_table(const std::string& file, const std::string& section, const tom
     std::size_t i = 0;
     while (i < fields.size() && (fields[i].section != section || fields[i].key != key)) ++i;
     if (i == fields.size()) {
-      const std::string name = section.empty() ? key : section + "." + key;
-      return fault(place, "no key " + name + " belongs into a calibration: remove it");
+      return fault(place,
+                   "no key " + name_of(section, key) + " belongs into a calibration: remove it");
     }
     auto* const* text = std::get_if<std::string*>(&fields[i].place);
     LCDM_RETURN_IF_ERROR(text != nullptr ? read_text(fields[i], place, value, **text)

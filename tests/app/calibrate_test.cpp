@@ -301,6 +301,16 @@ TEST_F(CalibrateCommand, ACalibrationOfAnotherShapeIsRefusedByWhateverUsesIt) {
   EXPECT_THAT(outcome.text, HasSubstr("calibration is of 320x180"));
 }
 
+TEST_F(CalibrateCommand, LiveItGuidesUntilItIsToldToEnd) {
+  test::Program program(LCDM_PROGRAM, {"calibrate", "--source", "scene:", "--output", file_});
+  ASSERT_TRUE(program.wait_for("hold the board before the camera"));
+  ASSERT_TRUE(program.wait_for("no board, or not all of it"));
+  kill(program.pid(), SIGINT);
+  EXPECT_EQ(program.wait(), 78);
+  EXPECT_THAT(program.text(), HasSubstr("0 good views"));
+  EXPECT_FALSE(fs::exists(file_));
+}
+
 TEST_F(CalibrateCommand, UnderstandsItsBoardOrSaysHowToWriteIt) {
   EXPECT_EQ(lcdm({"calibrate", "--board", "9"}).status, 2);
   EXPECT_EQ(lcdm({"calibrate", "--board", "2x9"}).status, 2);
