@@ -3,8 +3,11 @@
 #include <algorithm>
 #include <array>
 #include <filesystem>
+#include <memory>
 #include <system_error>
+#include <utility>
 
+#include "app/calibrated_camera.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {
@@ -73,6 +76,16 @@ CaptureRequest capture_request(const Config& config) {
   request.frames_per_second = static_cast<float>(config.camera.frames_per_second);
   request.assumed_field_of_view = static_cast<float>(config.camera.field_of_view);
   return request;
+}
+
+Result<OpenedSource> open_source(const Config& config, const std::string& uri, Playback playback) {
+  Result<OpenedSource> source = open_source(uri, playback);
+  if (!source || config.camera.calibration.empty()) return source;
+  Result<Calibration> calibration = read_calibration(config.camera.calibration);
+  if (!calibration) return calibration.status();
+  source->camera =
+      std::make_unique<CalibratedCamera>(std::move(source->camera), std::move(*calibration));
+  return source;
 }
 
 RecorderOptions recorder_options(const Config& config) {

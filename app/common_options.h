@@ -7,6 +7,7 @@
 
 #include "app/config.h"
 #include "app/recorder.h"
+#include "app/source.h"
 #include "firmware/base/status.h"
 #include "firmware/nn/engine.h"
 #include "firmware/pipeline/camera.h"
@@ -32,6 +33,8 @@ Result<ModelFile> load_model(const Config& config);
 
 EngineOptions engine_options(const Config& config);
 CaptureRequest capture_request(const Config& config);
+// The source of `uri`, with the configured calibration. kInvalidInput also: the calibration's file.
+Result<OpenedSource> open_source(const Config& config, const std::string& uri, Playback playback);
 RecorderOptions recorder_options(const Config& config);
 
 }  // namespace lcdm

@@ -5,20 +5,15 @@
 #include <cctype>
 #include <charconv>
 #include <cmath>
-#include <filesystem>
-#include <fstream>
 #include <optional>
-#include <sstream>
-#include <toml.hpp>
 #include <unistd.h>
 
 #include "app/source.h"
+#include "app/toml_file.h"
 #include "firmware/nn/network.h"
 
 namespace lcdm {
 namespace {
-
-constexpr std::uintmax_t kMaxFileBytes = 256U << 10;
 
 const char* source_objection(const std::string& text) {
   if (text == "auto" || is_source_uri(text)) return nullptr;
@@ -38,10 +33,6 @@ const char* address_objection(const std::string& text) {
 
 const char* directory_objection(const std::string& text) {
   return text.empty() ? "is no folder: name one, such as recordings" : nullptr;
-}
-
-Status fault(const std::string& place, const std::string& text) {
-  return Status::error(StatusCode::kInvalidInput, "%s: %s", place.c_str(), text.c_str());
 }
 
 std::string name_of(const ConfigField& field) {
@@ -110,10 +101,6 @@ Result<const ConfigField*> find(const std::vector<ConfigField>& fields, const st
   return fault(place, "no key " + section + "." + key + ": [" + section + "] has " + keys);
 }
 
-std::string place_of(const std::string& file, const toml::source_location& location) {
-  return file + ":" + std::to_string(location.line()) + ":" + std::to_string(location.column());
-}
-
 // The value as text for assign(); empty when its type does not fit the field.
 std::optional<std::string> text_of(const ConfigField& field, const toml::value& value) {
   const bool wants_string = std::holds_alternative<std::string*>(field.place);
@@ -151,62 +138,13 @@ Status read_section(const std::vector<ConfigField>& fields, const std::string& f
   return Status::ok();
 }
 
-// "[error] toml::parse_table: ... \n --> file" becomes its first line without the prefix.
-std::string first_line(const std::string& what) {
-  std::string line = what.substr(0, what.find('\n'));
-  if (line.rfind("[error] ", 0) == 0) line.erase(0, 8);
-  if (line.rfind("toml::", 0) == 0 && line.find(": ") != std::string::npos) {
-    line.erase(0, line.find(": ") + 2);
-  }
-  return line;
-}
-
-// Whether lists or tables lie deeper in each other than any configuration needs: the parser below
-// would use the stack for each. Lines of comment do not count, unless there are strings of several
-// lines, in which such a line may be something else.
-bool nests_too_deep(const std::string& text) {
-  constexpr int kDeepest = 16;
-  const bool long_strings =
-      text.find("\"\"\"") != std::string::npos || text.find("'''") != std::string::npos;
-  std::istringstream lines(text);
-  int depth = 0;
-  for (std::string line; std::getline(lines, line);) {
-    const std::size_t first = line.find_first_not_of(" \t");
-    if (first == std::string::npos || (line[first] == '#' && !long_strings)) continue;
-    for (const char c : line) {
-      if (c == '[' || c == '{') ++depth;
-      if (c == ']' || c == '}') --depth;
-      if (depth > kDeepest) return true;
-    }
-    depth = std::max(depth, 0);
-  }
-  return false;
-}
-
 Status read_file(const std::vector<ConfigField>& fields, const std::string& file) {
-  std::error_code error;
-  const std::uintmax_t bytes = std::filesystem::file_size(file, error);
-  if (error) {
-    return fault(file,
-                 "cannot read the configuration (" + error.message() + "): give an existing file");
-  }
-  if (bytes > kMaxFileBytes) return fault(file, "larger than 256 KiB: not a configuration");
-  try {
-    std::ifstream stream(file, std::ios::binary);
-    const std::string text{std::istreambuf_iterator<char>(stream), {}};
-    if (nests_too_deep(text)) return fault(file, "brackets lie too deep in each other");
-    stream.clear();
-    stream.seekg(0);
-    const toml::value root = toml::parse(stream, file);
+  return read_toml(file, "configuration", [&](const toml::value& root) {
     for (const auto& [section, table] : root.as_table()) {
       LCDM_RETURN_IF_ERROR(read_section(fields, file, section, table));
     }
-  } catch (const toml::exception& syntax) {
-    return fault(place_of(file, syntax.location()), first_line(syntax.what()));
-  } catch (const std::exception& other) {
-    return fault(file, first_line(other.what()));
-  }
-  return Status::ok();
+    return Status::ok();
+  });
 }
 
 std::string upper(std::string text) {
@@ -280,6 +218,7 @@ std::vector<ConfigField> config_fields(Config& c) {
       {"camera", "height", &c.camera.height, 32, 8192},
       {"camera", "frames_per_second", &c.camera.frames_per_second, 0.1, 1000},
       {"camera", "field_of_view", &c.camera.field_of_view, 5, 170},
+      {"camera", "calibration", &c.camera.calibration},
       {"model", "file", &c.model.file},
       {"model", "width", &c.model.width, 0, 2048},
       {"model", "height", &c.model.height, 0, 2048},

@@ -18,6 +18,7 @@ struct Config {
     int height = 480;
     double frames_per_second = 30;
     double field_of_view = 65;
+    std::string calibration;
   } camera;
   struct Model {
     std::string file;

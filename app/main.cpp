@@ -38,6 +38,7 @@ int main(int argc, char** argv) {
     lcdm::add_run_command(program, exit_code);
     lcdm::add_infer_command(program, exit_code);
     lcdm::add_record_command(program, exit_code);
+    lcdm::add_calibrate_command(program, exit_code);
     lcdm::add_bench_command(program, exit_code);
     lcdm::add_inspect_command(program, exit_code);
     lcdm::add_check_command(program, exit_code);

@@ -35,6 +35,12 @@ Status write_intrinsics(const fs::path& file, const Camera& camera) {
 Status run(const Options& options) {
   McapCamera camera(options.recording, McapCamera::Playback::kOffline);
   LCDM_RETURN_IF_ERROR(camera.configure({}));
+  if (camera.model().distorted()) {
+    return Status::error(StatusCode::kUnsupported,
+                         "%s: its camera's lens distorts, and packs are of pinhole pictures: "
+                         "record without camera.calibration for training",
+                         options.recording.c_str());
+  }
   LCDM_RETURN_IF_ERROR(camera.start());
   const fs::path rgb = fs::path(options.output) / "rgb";
   std::error_code error;

@@ -119,6 +119,7 @@ void print_json(const BenchResult& result) {
       {"macs", stats.macs},
       {"arena_bytes", stats.arena_bytes},
       {"weight_bytes", stats.weight_bytes},
+      {"preprocess_bytes", stats.preprocess_bytes},
       {"peak_rss_bytes", os::peak_rss_bytes()},
       {"allocations_per_frame", result.allocations_per_frame},
   };
@@ -138,6 +139,7 @@ void print_text(const BenchResult& result) {
   std::printf("rate       %.1f frames a second\n", 1000 / result.mean());
   std::printf("arena      %.2f MB\n", static_cast<double>(stats.arena_bytes) * 1e-6);
   std::printf("weights    %.2f MB\n", static_cast<double>(stats.weight_bytes) * 1e-6);
+  std::printf("preprocess %.2f MB\n", static_cast<double>(stats.preprocess_bytes) * 1e-6);
   std::printf("peak RSS   %.1f MB\n", static_cast<double>(os::peak_rss_bytes()) * 1e-6);
   std::printf("heap       %g allocations a frame\n", result.allocations_per_frame);
 }

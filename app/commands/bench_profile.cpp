@@ -10,11 +10,11 @@
 namespace lcdm {
 namespace {
 
-constexpr double kSmallShare = 0.01;  // parts below it are summed up
+constexpr double kSmallShare = 0.01;  // layers below it are summed up
 
 struct Part {
   std::string name;
-  const char* kind = "";
+  const char* kind = "";  // of a layer; empty: no layer
   double ms = 0;
   double macs = 0;
 };
@@ -55,7 +55,7 @@ void print_profile(const Engine& engine, const EngineProfile& profile, int frame
   for (const Part& part : parts) {
     all.ms += part.ms;
     all.macs += part.macs;
-    if (part.ms >= kSmallShare * all_ms) {
+    if (part.ms >= kSmallShare * all_ms || *part.kind == '\0') {
       print_part(part, all_ms, peak);
     } else {
       rest.ms += part.ms;

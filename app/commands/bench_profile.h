@@ -5,8 +5,9 @@
 
 namespace lcdm {
 
-// One line for each part that takes a hundredth of the frame: time, share, arithmetic rate and its
-// share of what the processor could do. `profile` is of `frames` frames of `engine`.
+// One line for the stages before and after the network and for each layer that takes a hundredth of
+// the frame: time, share, arithmetic rate and its share of what the processor could do. `profile`
+// is of `frames` frames of `engine`.
 void print_profile(const Engine& engine, const EngineProfile& profile, int frames);
 
 }  // namespace lcdm

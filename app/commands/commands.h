@@ -9,6 +9,7 @@ namespace lcdm {
 void add_run_command(CLI::App& program, int& exit_code);
 void add_infer_command(CLI::App& program, int& exit_code);
 void add_record_command(CLI::App& program, int& exit_code);
+void add_calibrate_command(CLI::App& program, int& exit_code);
 void add_bench_command(CLI::App& program, int& exit_code);
 void add_inspect_command(CLI::App& program, int& exit_code);
 void add_check_command(CLI::App& program, int& exit_code);

@@ -216,7 +216,7 @@ int infer(const InferOptions& options) {
   if (const Status status = check_not_the_source(options); !status) return report_unusable(status);
   const Result<ModelFile> model = load_model(*config);
   if (!model) return report_unusable(model.status());
-  Result<OpenedSource> source = open_source(options.source, Playback::kOffline);
+  Result<OpenedSource> source = open_source(*config, options.source, Playback::kOffline);
   if (!source) return report_failure(source.status());
   Camera& camera = *source->camera;
   if (const Status status = camera.configure(capture_request(*config)); !status) {

@@ -79,7 +79,7 @@ int record(const RecordOptions& options) {
       std::printf("%s\n", line.c_str());
     });
   }
-  Result<OpenedSource> source = open_source(config->camera.source, Playback::kOffline);
+  Result<OpenedSource> source = open_source(*config, config->camera.source, Playback::kOffline);
   if (!source) return report_failure(source.status());
   Camera& camera = *source->camera;
   if (const Status status = camera.configure(capture_request(*config)); !status) {

@@ -97,7 +97,7 @@ int run(const RunOptions& options) {
       std::fflush(stdout);
     });
   }
-  Result<OpenedSource> source = open_source(config->camera.source, Playback::kLive);
+  Result<OpenedSource> source = open_source(*config, config->camera.source, Playback::kLive);
   if (!source) return report_failure(source.status());
 
   MjpegDecoder decoder;

@@ -8,6 +8,7 @@
 #include "firmware/base/os.h"
 #include "firmware/nn/kernels/matrix.h"
 #include "firmware/vision/depth_to_millimetres.h"
+#include "firmware/vision/lens_map.h"
 
 namespace lcdm {
 namespace {
@@ -32,6 +33,21 @@ Status check_options(const EngineOptions& options, const CameraModel& camera) {
                          camera.width, camera.height, static_cast<double>(camera.fx));
   }
   return Status::ok();
+}
+
+// Reads the frames of `camera` as `view` sees them.
+Result<Preprocess> prepare_input(const FrameFormat& format, const CameraModel& camera,
+                                 const CameraModel& view, int workers) {
+  if (!camera.distorted()) return Preprocess::prepare(format, view.width, view.height, workers);
+  if (camera.width != format.width || camera.height != format.height) {
+    return Status::error(
+        StatusCode::kInvalidInput,
+        "camera model of %dx%d for frames of %dx%d: give the model of these frames", camera.width,
+        camera.height, format.width, format.height);
+  }
+  Result<std::vector<CameraBox>> map = make_lens_map(camera, view);
+  if (!map) return map.status();
+  return Preprocess::prepare(format, view.width, view.height, workers, std::move(*map));
 }
 
 }  // namespace
@@ -66,17 +82,17 @@ Result<std::unique_ptr<Engine>> Engine::prepare(const ModelFile& model,
   Result<Network> network = Network::build(model.config(), size.width, size.height);
   if (!network) return network.status();
   LCDM_RETURN_IF_ERROR(network->check_weights(model));
-  Result<Preprocess> preprocess =
-      Preprocess::prepare(format, size.width, size.height, options.threads);
+  const Result<CameraModel> depth_camera = pinhole_view(camera, size.width, size.height);
+  if (!depth_camera) return depth_camera.status();
+  Result<Preprocess> preprocess = prepare_input(format, camera, *depth_camera, options.threads);
   if (!preprocess) return preprocess.status();
 
-  const CameraModel depth_camera = camera.resized(size.width, size.height);
-  const float depth_scale = depth_camera.fx / static_cast<float>(model.config().canonical_focal);
+  const float depth_scale = depth_camera->fx / static_cast<float>(model.config().canonical_focal);
   Result<Program> program = Program::build(
       *network, model, {options.threads, options.keep_tensors, {depth_scale, options.precision}});
   if (!program) return program.status();
   return std::unique_ptr<Engine>(new Engine(std::move(*network), std::move(*program),
-                                            std::move(*preprocess), options, depth_camera, model));
+                                            std::move(*preprocess), options, *depth_camera, model));
 }
 
 Engine::Engine(Network network, Program program, Preprocess preprocess,
@@ -164,6 +180,7 @@ EngineStats Engine::stats() const {
   const ModelConfig& config = network_.config();
   return {.arena_bytes = program_.arena_bytes(),
           .weight_bytes = program_.constant_bytes(),
+          .preprocess_bytes = preprocess_.bytes(),
           .macs = network_.macs(),
           .width = network_.width(),
           .height = network_.height(),

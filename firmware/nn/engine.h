@@ -34,8 +34,9 @@ struct EngineOptions {
 };
 
 struct EngineStats {
-  std::size_t arena_bytes = 0;   // activations and scratch
-  std::size_t weight_bytes = 0;  // packed weights and constants
+  std::size_t arena_bytes = 0;       // activations and scratch
+  std::size_t weight_bytes = 0;      // packed weights and constants
+  std::size_t preprocess_bytes = 0;  // tables, lens map and camera rows in work
   std::int64_t macs = 0;
   int width = 0;
   int height = 0;
@@ -48,7 +49,7 @@ struct EngineStats {
 
 // Where the time of some frames went.
 struct EngineProfile {
-  std::int64_t preprocess_ns = 0;
+  std::int64_t preprocess_ns = 0;      // camera pixels to the network's input
   std::vector<std::int64_t> layer_ns;  // one value for each layer of the network; sized by the user
   std::int64_t output_ns = 0;          // depth to millimetres
 };
@@ -80,7 +81,8 @@ class Engine {
   // As run, and adds the nanoseconds of its parts to `profile`.
   Status run_timed(const FrameView& frame, const DepthBuffer& out, EngineProfile& profile) noexcept;
 
-  // Intrinsics of the depth image: the camera's, resized to the network's input.
+  // Intrinsics of the depth image, a pinhole's: the camera's resized to the network's input, its
+  // distortion taken away.
   const CameraModel& depth_camera() const { return depth_camera_; }
   ScaleKind scale() const { return network_.config().scale; }
   const FrameFormat& format() const { return preprocess_.format(); }

@@ -27,11 +27,6 @@ constexpr milliseconds kTakeTimeout{200};
 // After a broken frame, so that a source of nothing but broken frames does not spin.
 constexpr milliseconds kPauseAfterCorrupt{5};
 
-bool same_view(const CameraModel& a, const CameraModel& b) {
-  return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy &&
-         a.cx == b.cx && a.cy == b.cy && a.calibrated == b.calibrated;
-}
-
 }  // namespace
 
 Pipeline::Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* decoder,
@@ -222,7 +217,7 @@ void Pipeline::follow_source(std::uint64_t generation) {
   prepared_generation_ = generation;
   // Stable while a frame is lent: the capture thread reopens only when none is.
   const Source now = source();
-  if (engine_ && now.format == prepared_format_ && same_view(now.model, prepared_model_)) return;
+  if (engine_ && now.format == prepared_format_ && now.model == prepared_model_) return;
   engine_status_ = prepare_engine(now);
 }
 

@@ -1,23 +1,17 @@
-// Camera pixels to the network's input: colour conversion, resize and normalisation in one pass.
+// Camera pixels to the network's input: colour conversion, undistortion, resize and normalisation
+// in one pass.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
 #include "firmware/base/status.h"
 #include "firmware/buffer/frame.h"
+#include "firmware/vision/axis_table.h"
+#include "firmware/vision/lens_map.h"
 
 namespace lcdm {
-
-// How one axis is resampled: output i is the sum over t of weights[i * taps + t] times input
-// first[i] + t. Area average when shrinking, bilinear otherwise (OpenCV's INTER_AREA and
-// INTER_LINEAR, pixel centres at half integers).
-struct AxisTable {
-  int taps = 0;
-  std::vector<int> first;
-  std::vector<float> weights;
-};
-AxisTable make_axis_table(int in_size, int out_size);
 
 // Tables and scratch for one camera format and one network size. run_rows may be called by
 // several workers at once, each with its own index.
@@ -25,8 +19,11 @@ class Preprocess {
  public:
   static constexpr int kMaxSide = 8192;  // of the camera's image
 
-  // kUnsupported: MJPEG, which the pipeline decodes first; kInvalidInput: impossible sizes.
-  static Result<Preprocess> prepare(const FrameFormat& format, int width, int height, int workers);
+  // `lens_map`: of a camera model of the format's size and a view of width x height; empty: the
+  // whole picture as it is. kUnsupported: MJPEG, which the pipeline decodes first; kInvalidInput:
+  // impossible sizes.
+  static Result<Preprocess> prepare(const FrameFormat& format, int width, int height, int workers,
+                                    std::vector<CameraBox> lens_map = {});
 
   const FrameFormat& format() const { return format_; }
 
@@ -34,17 +31,44 @@ class Preprocess {
   Status check(const FrameView& frame) const noexcept;
 
   // Writes rows [begin, end) of the network's input, (rgb / 255 - 0.45) / 0.225 as
-  // [height, width, 3], from a frame that passed check().
+  // [height, width, 3], from a frame that passed check(). The same values whoever computes a row.
   void run_rows(const FrameView& frame, int worker, int begin, int end, float* out) noexcept;
 
+  // Of tables and scratch.
+  std::size_t bytes() const;
+
  private:
+  // One worker's own: camera rows as three bytes a pixel, of which neighbouring output rows share
+  // most, and the rows of the output row in work.
+  struct Scratch {
+    std::vector<std::uint8_t> pixels;       // [slots, width * 3], and a byte
+    std::vector<int> held;                  // [slots]: the camera row in each; -1: none
+    std::vector<const std::uint8_t*> rows;  // [slots]
+    std::vector<float> weights;             // of rows or of a box's columns
+    std::vector<float> blended;             // [width * 3 + 1]
+  };
+  // Camera rows [begin, end).
+  struct Rows {
+    int begin = 0;
+    int end = 0;
+  };
+
   Preprocess() = default;
+  void take_map(std::vector<CameraBox> lens_map, int height);
+  void make_scratch(int workers);
+  bool uses_own_rows() const;
+  const std::uint8_t* camera_row(const FrameView& frame, int y, Scratch& scratch) const noexcept;
+  void resize_row(const FrameView& frame, int y, Scratch& scratch, float* out) const noexcept;
+  void undistort_row(const FrameView& frame, int y, Scratch& scratch, float* out) const noexcept;
 
   FrameFormat format_;
   int width_ = 0;
-  AxisTable columns_;
+  AxisTable columns_;  // without a lens map
   AxisTable rows_;
-  std::vector<float> scratch_;  // a blended camera row, [format_.width * 3], per worker
+  std::vector<CameraBox> lens_map_;  // [height, width]
+  std::vector<Rows> lens_rows_;      // [height]: what a row of boxes touches
+  std::size_t most_columns_ = 0;     // of a box
+  std::vector<Scratch> scratch_;     // per worker
 };
 
 }  // namespace lcdm

@@ -1,8 +1,11 @@
 #include "firmware/wire/foxglove.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <iterator>
+#include <string>
 
 #include "firmware/wire/protobuf.h"
 
@@ -109,6 +112,11 @@ void read_doubles(std::span<const std::byte> packed, std::span<double> out) {
   }
 }
 
+// Names of distortion models and how many coefficients each has, all in OpenCV's order.
+constexpr std::string_view kPlumbBob = "plumb_bob";
+constexpr std::size_t kPlumbBobSize = 5;
+constexpr std::string_view kRational = "rational_polynomial";
+
 Status malformed(std::string_view schema) {
   return Status::error(StatusCode::kCorrupt, "malformed %.*s message",
                        static_cast<int>(schema.size()), schema.data());
@@ -154,13 +162,19 @@ void encode(const CameraCalibration& calibration, ByteWriter& writer) {
   const double k[9] = {known * m.fx, 0, known * m.cx, 0, known * m.fy, known * m.cy, 0, 0, known};
   const double r[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
   const double p[12] = {m.fx, 0, m.cx, 0, 0, m.fy, m.cy, 0, 0, 0, 1, 0};
-  const double d[5] = {};
+  const std::array<double, 8> d = [&m] {
+    std::array<double, 8> wide{};
+    std::copy(m.distortion.begin(), m.distortion.end(), wide.begin());
+    return wide;
+  }();
+  const bool rational =
+      std::any_of(d.begin() + kPlumbBobSize, d.end(), [](double value) { return value != 0; });
   ProtobufWriter out(writer);
   write_timestamp(out, 1, calibration.unix_ns);
   out.fixed32_field(2, static_cast<std::uint32_t>(m.width));
   out.fixed32_field(3, static_cast<std::uint32_t>(m.height));
-  out.string_field(4, "plumb_bob");
-  out.doubles_field(5, d);
+  out.string_field(4, rational ? kRational : kPlumbBob);
+  out.doubles_field(5, std::span(d).first(rational ? d.size() : kPlumbBobSize));
   out.doubles_field(6, k);
   out.doubles_field(7, r);
   out.doubles_field(8, p);
@@ -171,8 +185,10 @@ Result<CameraCalibration> decode_camera_calibration(std::span<const std::byte> m
   constexpr std::uint64_t kMaxSide = 16384;
   CameraCalibration calibration;
   CameraModel& m = calibration.model;
+  double d[8] = {};
   double k[9] = {};
   double p[12] = {};
+  std::string_view distortion_model;
   std::uint64_t width = 0;
   std::uint64_t height = 0;
   ProtobufReader reader(message);
@@ -180,6 +196,8 @@ Result<CameraCalibration> decode_camera_calibration(std::span<const std::byte> m
     if (field->number == 1) calibration.unix_ns = read_timestamp(field->bytes);
     if (field->number == 2) width = field->value;
     if (field->number == 3) height = field->value;
+    if (field->number == 4) distortion_model = field->text();
+    if (field->number == 5) read_doubles(field->bytes, d);
     if (field->number == 6) read_doubles(field->bytes, k);
     if (field->number == 8) read_doubles(field->bytes, p);
   }
@@ -193,8 +211,18 @@ Result<CameraCalibration> decode_camera_calibration(std::span<const std::byte> m
   m.fy = static_cast<float>(m.calibrated ? k[4] : p[5]);
   m.cx = static_cast<float>(m.calibrated ? k[2] : p[2]);
   m.cy = static_cast<float>(m.calibrated ? k[5] : p[6]);
-  const bool sane = m.fx > 0 && m.fy > 0 && std::isfinite(m.fx) && std::isfinite(m.fy) &&
-                    std::isfinite(m.cx) && std::isfinite(m.cy);
+  std::transform(std::begin(d), std::end(d), m.distortion.begin(),
+                 [](double value) { return static_cast<float>(value); });
+  if (m.distorted() && distortion_model != kPlumbBob && distortion_model != kRational) {
+    return Status::error(StatusCode::kUnsupported,
+                         "%s with lens model \"%.40s\": only plumb_bob and rational_polynomial are "
+                         "understood",
+                         kCameraCalibrationSchema.data(), std::string(distortion_model).c_str());
+  }
+  const bool lens_sane = std::all_of(m.distortion.begin(), m.distortion.end(),
+                                     [](float value) { return std::isfinite(value); });
+  const bool sane = lens_sane && m.fx > 0 && m.fy > 0 && std::isfinite(m.fx) &&
+                    std::isfinite(m.fy) && std::isfinite(m.cx) && std::isfinite(m.cy);
   if (!sane) return malformed(kCameraCalibrationSchema);
   return calibration;
 }

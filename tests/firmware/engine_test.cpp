@@ -6,7 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "firmware/base/alloc_watch.h"
-#include "firmware/vision/depth_to_millimetres.h"
+#include "firmware/vision/lens_map.h"
 #include "tests/support/random_model.h"
 
 namespace lcdm {
@@ -143,6 +143,30 @@ TEST(Engine, DepthFollowsTheFocalLengthOfTheCamera) {
   }
   EXPECT_FLOAT_EQ((*engine)->depth_camera().fx, tele.fx * 64 / 150);
   EXPECT_EQ((*engine)->depth_camera().width, 64);
+}
+
+TEST(Engine, ShowsAPinholesViewOfADistortedPictureAndSaysWhich) {
+  CameraModel lens = kCamera;
+  lens.distortion = {-0.2F, 0.03F};
+  const ModelFile model = make_model();
+  const auto engine = Engine::prepare(model, {64, 64}, kFormat, lens);
+  ASSERT_TRUE(engine) << engine.status().text();
+  EXPECT_FALSE((*engine)->depth_camera().distorted());
+  EXPECT_EQ((*engine)->depth_camera(), *pinhole_view(lens, 64, 64));
+  EXPECT_GT((*engine)->stats().preprocess_bytes,
+            prepare(model, {64, 64})->stats().preprocess_bytes);
+  Bench bench;
+  Bench straight;
+  ASSERT_TRUE(bench.run(**engine));
+  ASSERT_TRUE(straight.run(*prepare(model, {64, 64})));
+  EXPECT_NE(bench.metres, straight.metres);
+
+  lens.distortion[0] = -9;
+  EXPECT_THAT(Engine::prepare(model, {64, 64}, kFormat, lens).status().text(), HasSubstr("folds"));
+  lens.distortion[0] = -0.2F;
+  lens.width = 300;
+  EXPECT_THAT(Engine::prepare(model, {64, 64}, kFormat, lens).status().text(),
+              HasSubstr("300x110"));
 }
 
 TEST(Engine, MillimetresAreTheMetresRounded) {

@@ -262,6 +262,34 @@ TEST(Foxglove, ACalibrationSurvivesTheRoundTripAndKeepsWhetherItIsOne) {
   }
 }
 
+TEST(Foxglove, TheLensIsPartOfTheCalibration) {
+  for (const std::array<float, 8>& distortion :
+       {std::array<float, 8>{-0.28F, 0.09F, 0.001F, -0.002F, -0.01F},
+        std::array<float, 8>{0.3F, 0.05F, 0, 0, 0, 0.6F, 0.1F, 0.01F}}) {
+    CameraModel model = kitti_like();
+    model.distortion = distortion;
+    std::vector<std::byte> block(1024);
+    ByteWriter out(block);
+    encode(CameraCalibration{kFirstStamp, model}, out);
+    const auto back = decode_camera_calibration(out.written());
+    ASSERT_TRUE(back) << back.status().text();
+    EXPECT_EQ(back->model, model);
+  }
+}
+
+TEST(Foxglove, ALensModelWeDoNotKnowIsRefusedByName) {
+  CameraModel model = kitti_like();
+  model.distortion[0] = 0.1F;
+  std::vector<std::byte> block(1024);
+  ByteWriter out(block);
+  encode(CameraCalibration{kFirstStamp, model}, out);
+  std::string message(reinterpret_cast<const char*>(block.data()), out.size());
+  message.replace(message.find("plumb_bob"), 9, "fish_eyes");
+  const auto back = decode_camera_calibration(as_bytes(message));
+  EXPECT_EQ(back.code(), StatusCode::kUnsupported);
+  EXPECT_NE(std::string(back.status().text()).find("fish_eyes"), std::string::npos);
+}
+
 TEST(Foxglove, AMalformedCalibrationIsRefused) {
   EXPECT_EQ(decode_camera_calibration(as_bytes("\xFF\xFF\xFF")).code(), StatusCode::kCorrupt);
   EXPECT_EQ(decode_camera_calibration({}).code(), StatusCode::kCorrupt);

@@ -1,0 +1,78 @@
+#include "app/toml_file.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+
+namespace lcdm {
+namespace {
+
+constexpr std::uintmax_t kMaxFileBytes = 256U << 10;
+
+// "[error] toml::parse_table: ... \n --> file" becomes its first line without the prefix.
+std::string first_line(const std::string& what) {
+  std::string line = what.substr(0, what.find('\n'));
+  if (line.rfind("[error] ", 0) == 0) line.erase(0, 8);
+  if (line.rfind("toml::", 0) == 0 && line.find(": ") != std::string::npos) {
+    line.erase(0, line.find(": ") + 2);
+  }
+  return line;
+}
+
+// Whether lists or tables lie deeper in each other than any configuration needs: the parser below
+// would use the stack for each. Lines of comment do not count, unless there are strings of several
+// lines, in which such a line may be something else.
+bool nests_too_deep(const std::string& text) {
+  constexpr int kDeepest = 16;
+  const bool long_strings =
+      text.find("\"\"\"") != std::string::npos || text.find("'''") != std::string::npos;
+  std::istringstream lines(text);
+  int depth = 0;
+  for (std::string line; std::getline(lines, line);) {
+    const std::size_t first = line.find_first_not_of(" \t");
+    if (first == std::string::npos || (line[first] == '#' && !long_strings)) continue;
+    for (const char c : line) {
+      if (c == '[' || c == '{') ++depth;
+      if (c == ']' || c == '}') --depth;
+      if (depth > kDeepest) return true;
+    }
+    depth = std::max(depth, 0);
+  }
+  return false;
+}
+
+}  // namespace
+
+Status fault(const std::string& place, const std::string& text) {
+  return Status::error(StatusCode::kInvalidInput, "%s: %s", place.c_str(), text.c_str());
+}
+
+std::string place_of(const std::string& file, const toml::source_location& location) {
+  return file + ":" + std::to_string(location.line()) + ":" + std::to_string(location.column());
+}
+
+Status read_toml(const std::string& file, const std::string& what,
+                 const std::function<Status(const toml::value&)>& use) {
+  std::error_code error;
+  const std::uintmax_t bytes = std::filesystem::file_size(file, error);
+  if (error) {
+    return fault(file,
+                 "cannot read the " + what + " (" + error.message() + "): give an existing file");
+  }
+  if (bytes > kMaxFileBytes) return fault(file, "larger than 256 KiB: not a " + what);
+  try {
+    std::ifstream stream(file, std::ios::binary);
+    const std::string text{std::istreambuf_iterator<char>(stream), {}};
+    if (nests_too_deep(text)) return fault(file, "brackets lie too deep in each other");
+    stream.clear();
+    stream.seekg(0);
+    return use(toml::parse(stream, file));
+  } catch (const toml::exception& syntax) {
+    return fault(place_of(file, syntax.location()), first_line(syntax.what()));
+  } catch (const std::exception& other) {
+    return fault(file, first_line(other.what()));
+  }
+}
+
+}  // namespace lcdm
