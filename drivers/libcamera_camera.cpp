@@ -208,7 +208,7 @@ Status LibcameraCamera::Session::choose_format(const CaptureRequest& request) {
     format = {known.pixel, static_cast<int>(stream.size.width),
               static_cast<int>(stream.size.height),
               compressed ? 0 : static_cast<int>(stream.stride)};
-    if (format.stride >= packed_stride(known.pixel, format.width)) return Status::ok();
+    if (compressed || is_picture(format)) return Status::ok();
   }
   return Status::error(StatusCode::kUnsupported,
                        "libcamera:%s: gives none of NV12, NV21, YUYV, UYVY, RGB, MJPEG and R8",
@@ -360,7 +360,7 @@ Result<CapturedFrame> LibcameraCamera::Session::dequeue(std::chrono::millisecond
   }
   const Slot& slot = slots_[static_cast<std::size_t>(done.index)];
   const std::uint64_t sequence = sequence_.next(done.count);
-  const std::size_t needed = std::max<std::size_t>(1, frame_bytes(format));
+  const std::size_t needed = format.pixel == PixelFormat::kMjpeg ? 1 : picture_bytes(format);
   if (!done.whole || done.bytes < needed || done.bytes > slot.length) {
     LCDM_RETURN_IF_ERROR(requeue(done.index));
     return Status::error(StatusCode::kCorrupt, "libcamera:%s: damaged frame (%zu bytes)",

@@ -33,7 +33,7 @@ Status V4l2Camera::open_and_configure(const CaptureRequest& request) {
   const Result<FrameFormat> format = queue_.set_format(*choice);
   if (!format) return format.status();
   format_ = *format;
-  frame_bytes_ = std::max<std::size_t>(1, lcdm::frame_bytes(format_));
+  frame_bytes_ = format_.pixel == PixelFormat::kMjpeg ? 1 : picture_bytes(format_);
   reason_ = choice->reason;
   refused_ = apply_controls(device_, request.controls);
   frames_per_second_ = queue_.set_rate(request.frames_per_second);

@@ -51,18 +51,16 @@ Answer answer_of(const V4l2Device& device, const v4l2_format& format) {
   return {pix.pixelformat, pix.width, pix.height, pix.bytesperline, 1};
 }
 
-bool halves_chroma(PixelFormat pixel) {
-  return pixel == PixelFormat::kNv12 || pixel == PixelFormat::kNv21;
+FrameFormat format_of(const Answer& answer, PixelFormat pixel) {
+  return {pixel, static_cast<int>(answer.width), static_cast<int>(answer.height),
+          pixel == PixelFormat::kMjpeg ? 0 : static_cast<int>(answer.stride)};
 }
 
 bool makes_sense(const Answer& answer, const V4l2Choice& choice) {
-  if (answer.fourcc != choice.fourcc || answer.planes != 1) return false;
   const bool fits = answer.width > 0 && answer.width <= kMaxSide && answer.height > 0 &&
                     answer.height <= kMaxSide && answer.stride <= 8 * kMaxSide;
-  if (!fits) return false;
-  if (halves_chroma(choice.pixel) && (answer.width | answer.height) % 2 != 0) return false;
-  const int packed = packed_stride(choice.pixel, static_cast<int>(answer.width));
-  return packed == 0 || static_cast<int>(answer.stride) >= packed;
+  if (!fits || answer.fourcc != choice.fourcc || answer.planes != 1) return false;
+  return choice.pixel == PixelFormat::kMjpeg || is_picture(format_of(answer, choice.pixel));
 }
 
 StampSource stamp_source(std::uint32_t flags) {
@@ -95,9 +93,7 @@ Result<FrameFormat> V4l2Queue::set_format(const V4l2Choice& choice) {
                          choice.height, fourcc_text(answer.fourcc).c_str(), answer.width,
                          answer.height, answer.stride, answer.planes);
   }
-  const bool compressed = choice.pixel == PixelFormat::kMjpeg;
-  return FrameFormat{choice.pixel, static_cast<int>(answer.width), static_cast<int>(answer.height),
-                     compressed ? 0 : static_cast<int>(answer.stride)};
+  return format_of(answer, choice.pixel);
 }
 
 float V4l2Queue::set_rate(float frames_per_second) const {
