@@ -62,7 +62,7 @@ Status Pipeline::start() {
   }
   if (absent) {
     declare(status);
-    source_.info = {camera_.info().uri, "waiting for it"};
+    source_.info = {camera_.info().uri, "not there yet"};
   }
   stopping_ = false;
   prepared_generation_ = generation_;
