@@ -68,6 +68,14 @@ Finding check_bus(const V4l2Node& node) {
   return well("camera", speed);
 }
 
+// Without this the recovery ladder lacks a rung.
+Finding check_port_reset(const V4l2Node& node) {
+  if (access(node.usb.c_str(), W_OK) == 0) return well("reset", node.usb + " may be reset");
+  return warning("reset", node.usb +
+                              ": this user may not reset it when the camera hangs: give the "
+                              "group video write permission (a udev rule)");
+}
+
 // The node that the configuration's source means now; empty: none.
 std::string configured_node(const std::string& source, const std::vector<V4l2Node>& nodes) {
   if (source.rfind("v4l2:", 0) == 0) {
@@ -132,6 +140,7 @@ std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std
   for (const V4l2Node& node : nodes) {
     if (node.usable) {
       findings.push_back(check_bus(node));
+      if (!node.usb.empty()) findings.push_back(check_port_reset(node));
     } else if (!usable) {  // beside a camera that works, its metadata node is no news
       findings.push_back(warning("camera", node.reason));
     }

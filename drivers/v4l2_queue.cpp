@@ -82,7 +82,7 @@ std::int64_t to_ns(const timeval& time) {
 Result<FrameFormat> V4l2Queue::set_format(const V4l2Choice& choice) {
   v4l2_format format = wanted_format(device_, choice);
   if (const int fault = device_.control(VIDIOC_S_FMT, &format); fault != 0) {
-    return device_.failure(fault, "cannot set a format");
+    return device_.failure(fault, "cannot set a format (another program may hold the camera)");
   }
   const Answer answer = answer_of(device_, format);
   if (!makes_sense(answer, choice)) {

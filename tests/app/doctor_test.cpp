@@ -71,6 +71,14 @@ TEST_F(Doctor, SeesACameraThatMayNotBeOpenedOrIsNotThere) {
   expect(check_cameras({}, "scene:3")[0], Severity::kOk, "needs none");
 }
 
+TEST_F(Doctor, SeesAUsbPortThatMayNotBeReset) {
+  V4l2Node camera = usb_camera(480, 2);
+  camera.usb = root_;
+  expect(check_cameras({camera}, "auto")[1], Severity::kOk, "may be reset");
+  camera.usb = root_ + "/001/004";
+  expect(check_cameras({camera}, "auto")[1], Severity::kWarning, "a udev rule");
+}
+
 TEST_F(Doctor, SaysNothingOfTheMetadataNodeBesideACamera) {
   V4l2Node metadata;
   metadata.reason = "v4l2:/dev/video1 (Webcam): it captures no video";
