@@ -12,8 +12,9 @@ set -euo pipefail
 run=(
   build-essential cmake ninja-build pkg-config libeigen3-dev libhwy-dev libopencv-dev
   libjpeg-dev libturbojpeg0-dev libpng-dev libcivetweb-dev libcli11-dev libtoml11-dev
-  nlohmann-json3-dev
+  nlohmann-json3-dev libudev-dev
 )
+run_optional=(libcamera-dev)  # left out where the distribution has none
 test=(
   libgtest-dev libgmock-dev libumockdev-dev umockdev clang-format clang-tidy chromium
   fonts-dejavu-core git nodejs npm opencv-doc g++-11
@@ -23,10 +24,11 @@ train=(libtorch-dev libopenblas0-pthread libgloo-dev libmatio-dev libhdf5-dev py
 usage() { sed -n '2,9s/^# \{0,1\}//p' "$0"; }
 
 packages=()
+optional=()
 [[ $# -gt 0 ]] || { usage >&2; exit 2; }
 for group in "$@"; do
   case $group in
-    run) packages+=("${run[@]}") ;;
+    run) packages+=("${run[@]}"); optional+=("${run_optional[@]}") ;;
     test) packages+=("${test[@]}") ;;
     train) packages+=("${train[@]}") ;;
     -h | --help) usage; exit 0 ;;
@@ -44,6 +46,15 @@ missing=()
 for package in "${packages[@]}"; do
   installed "$package" || missing+=("$package")
 done
+# Adds those optional packages that the package lists know to what is missing.
+add_optional() {
+  local package
+  for package in "${optional[@]}"; do
+    installed "$package" || ! apt-cache show "$package" >/dev/null 2>&1 || missing+=("$package")
+  done
+}
+required=${#missing[@]}
+[[ $required -gt 0 ]] || add_optional
 [[ ${#missing[@]} -gt 0 ]] || exit 0
 
 as_root() {
@@ -54,8 +65,9 @@ if [[ $(id -u) -ne 0 ]] && ! command -v sudo >/dev/null; then
   exit 1
 fi
 
-echo "Installing ${#missing[@]} packages: ${missing[*]}"
 export DEBIAN_FRONTEND=noninteractive
 as_root apt-get update -q
+[[ $required -eq 0 ]] || add_optional
+echo "Installing ${#missing[@]} packages: ${missing[*]}"
 as_root env DEBIAN_FRONTEND=noninteractive \
   apt-get install -y -q --no-install-recommends "${missing[@]}"

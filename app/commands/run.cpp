@@ -60,8 +60,9 @@ Pipeline::EngineFactory engine_factory(const Config& config, ModelFile first) {
   };
 }
 
-// Says when the state changes, until a signal comes or the source ends.
-void watch(const Pipeline& pipeline, const StopSignals& signals) {
+// Says when the state changes, until a signal comes, the source ends or its recovery is at an end.
+// False: only a new process may help.
+bool watch(const Pipeline& pipeline, const StopSignals& signals) {
   PipelineState last = PipelineState::kStarting;
   while (!signals.wait_for(kWatchPeriod)) {
     const PipelineState now = pipeline.health().state();
@@ -70,16 +71,20 @@ void watch(const Pipeline& pipeline, const StopSignals& signals) {
     const std::string fault = pipeline.fault();
     std::printf("%s%s%s\n", to_string(now), fault.empty() ? "" : ": ", fault.c_str());
     std::fflush(stdout);
-    if (now == PipelineState::kFinished) return;
+    if (now == PipelineState::kFinished) return true;
+    if (now == PipelineState::kFault) return false;
   }
+  return true;
 }
 
 void announce(const HttpServer& server, const Pipeline& pipeline) {
   const Pipeline::Source source = pipeline.source();
-  const EngineStats stats = pipeline.engine().stats;
   std::printf("source  %s (%s)\n", source.info.uri.c_str(), source.info.description.c_str());
-  std::printf("model   %s, %dx%d, %d thread%s\n", stats.model_name.c_str(), stats.width,
-              stats.height, stats.threads, stats.threads == 1 ? "" : "s");
+  const EngineStats stats = pipeline.engine().stats;
+  if (stats.width > 0) {  // else made when the camera arrives
+    std::printf("model   %s, %dx%d, %d thread%s\n", stats.model_name.c_str(), stats.width,
+                stats.height, stats.threads, stats.threads == 1 ? "" : "s");
+  }
   std::printf("page    %s\n", server.address().c_str());
   std::fflush(stdout);
 }
@@ -106,6 +111,7 @@ int run(const RunOptions& options) {
   PipelineOptions pipeline_options;
   pipeline_options.request = capture_request(*config);
   pipeline_options.seal_capture = source->seal_capture;
+  pipeline_options.port = source->port.get();
   Pipeline pipeline(*source->camera, engine_factory(*config, std::move(*model)), &decoder,
                     {&view, &recorder}, pipeline_options);
 
@@ -117,16 +123,18 @@ int run(const RunOptions& options) {
   const auto server = HttpServer::start(http, web_routes(pipeline, view, recorder));
   if (!server) return report_failure(server.status());
 
-  const Status started = pipeline.start();
-  if (started) {
+  Status status = pipeline.start();
+  if (status) {
     announce(**server, pipeline);
-    watch(pipeline, signals);
+    if (!watch(pipeline, signals)) {
+      status = Status::error(StatusCode::kIoError, "nothing brings the camera back; start again");
+    }
   }
   view.stop();
   (*server)->stop();
   pipeline.stop();
   recorder.stop();
-  return started ? kExitOk : report_failure(started);
+  return status ? kExitOk : report_failure(status);
 }
 
 }  // namespace
@@ -137,7 +145,7 @@ void add_run_command(CLI::App& program, int& exit_code) {
       "run", "The camera service: depth of a live source, shown on a page in the browser");
   command
       ->add_option("--source", options->source,
-                   "auto, v4l2:/dev/..., scene:, file:PATH or mcap:PATH (default: auto)")
+                   std::string("auto, ") + kSourceForms + " (default: auto)")
       ->type_name("URI");
   command->add_option("--listen", options->listen, "Address of the page (default: 127.0.0.1)")
       ->type_name("ADDR");

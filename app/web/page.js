@@ -61,6 +61,7 @@ function showAge() {
 
 const stateNames = {
   starting: "Starting", streaming: "Live", "no signal": "No signal", finished: "Finished",
+  "waiting for camera": "No signal: waiting for the camera", fault: "Fault",
   stopped: "Stopped", connecting: "Connecting", offline: "Reconnecting",
 };
 
