@@ -43,13 +43,19 @@ Service::Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, c
   notify_.status(to_string(DeviceState::kBooting));
 }
 
-void Service::run(const StopSignals& signals) {
+Status Service::run(const StopSignals& signals) {
   look();
-  while (!signals.wait_for(kLookPeriod)) {
+  Status status;
+  while (status && !signals.wait_for(kLookPeriod)) {
     look();
-    if (pipeline_.health().state() == PipelineState::kFinished) break;
+    const PipelineState state = pipeline_.health().state();
+    if (state == PipelineState::kFinished) break;
+    if (state == PipelineState::kFault) {
+      status = Status::error(StatusCode::kIoError, "nothing brings the camera back; start again");
+    }
   }
-  notify_.stopping("stopping");
+  notify_.stopping(status ? "stopping" : "restart: nothing brings the camera back");
+  return status;
 }
 
 ServiceStatus Service::status() const {

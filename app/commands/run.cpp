@@ -81,6 +81,7 @@ int run(const RunOptions& options) {
   PipelineOptions pipeline_options;
   pipeline_options.request = capture_request(*config);
   pipeline_options.seal_capture = source->seal_capture;
+  pipeline_options.port = source->port.get();
   const EngineFactories factories = engine_factories(*config, std::move(*model));
   Pipeline pipeline(*source->camera, factories.full, &decoder, {&view, &recorder}, pipeline_options,
                     factories.small);
@@ -94,17 +95,17 @@ int run(const RunOptions& options) {
                  address.c_str());
   }
 
-  Status outcome = pipeline.start();
-  if (outcome) {
+  Status status = pipeline.start();
+  if (status) {
     std::printf("page    %s\n", (*server)->address().c_str());
     std::fflush(stdout);
-    service.run(signals);
+    status = service.run(signals);
   }
   view.stop();
   (*server)->stop();
   pipeline.stop();
   recorder.stop();
-  return outcome ? kExitOk : report_failure(outcome);
+  return status ? kExitOk : report_failure(status);
 }
 
 }  // namespace
@@ -115,7 +116,7 @@ void add_run_command(CLI::App& program, int& exit_code) {
       "run", "The camera service: depth of a live source, shown on a page in the browser");
   command
       ->add_option("--source", options->source,
-                   "auto, v4l2:/dev/..., scene:, file:PATH or mcap:PATH (default: auto)")
+                   std::string("auto, ") + kSourceForms + " (default: auto)")
       ->type_name("URI");
   command->add_option("--listen", options->listen, "Address of the page (default: 127.0.0.1)")
       ->type_name("ADDR");

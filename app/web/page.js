@@ -62,8 +62,8 @@ function showAge() {
 const stateNames = {
   starting: "Starting", booting: "Starting", streaming: "Live", recording: "Recording",
   degraded: "Degraded", fault: "Fault", "no signal": "No signal", finished: "Finished",
-  "waiting for camera": "Waiting for camera", stopped: "Stopped", connecting: "Connecting",
-  offline: "Reconnecting",
+  "waiting for camera": "No signal: waiting for the camera", stopped: "Stopped",
+  connecting: "Connecting", offline: "Reconnecting",
 };
 const liveStates = ["streaming", "recording", "degraded"];
 

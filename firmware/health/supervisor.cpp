@@ -12,6 +12,12 @@ constexpr std::int64_t kFramesComeNs = 1'500'000'000;
 // The pipeline's threads live in this order, after main.
 constexpr std::array<const char*, 3> kVitalThreads = {"main", "capture", "infer"};
 
+// Whether the pipeline says that the camera gives nothing.
+bool gives_nothing(PipelineState state) {
+  return state == PipelineState::kNoSignal || state == PipelineState::kNoCamera ||
+         state == PipelineState::kFinished;
+}
+
 double seconds(std::int64_t ns) { return static_cast<double>(ns) * 1e-9; }
 
 }  // namespace
@@ -66,9 +72,7 @@ void Supervisor::follow_progress(const Observation& seen) {
   last_call_ns_ = seen.now_ns;
   if (pipeline.captured != captured_) last_frame_ns_ = seen.now_ns;
   const bool frames_come = last_frame_ns_ >= 0 && seen.now_ns - last_frame_ns_ < kFramesComeNs;
-  const bool gives_nothing =
-      pipeline.state == PipelineState::kNoSignal || pipeline.state == PipelineState::kFinished;
-  waiting_ = gives_nothing && !frames_come;
+  waiting_ = gives_nothing(pipeline.state) && !frames_come;
   if (!begun_ || waiting_ || pipeline.inferred != inferred_) last_progress_ns_ = seen.now_ns;
   captured_ = pipeline.captured;
   inferred_ = pipeline.inferred;
@@ -108,7 +112,10 @@ const char* Supervisor::late_output(const Observation& seen) const {
 Supervisor::Finding Supervisor::find(const Observation& seen) const {
   if (!judgement_.alive) return find_fault(seen);
   switch (seen.pipeline.state) {
+    case PipelineState::kFault:
+      return {DeviceState::kFault, "nothing brings the camera back: %s", seen.fault};
     case PipelineState::kNoSignal:
+    case PipelineState::kNoCamera:
     case PipelineState::kFinished:
       return {DeviceState::kWaitingForCamera, "%s", seen.fault};
     case PipelineState::kStarting:

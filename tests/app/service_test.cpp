@@ -57,7 +57,7 @@ class ServiceTest : public testing::Test {
   }
 
   // The next message that begins so; empty when none comes.
-  std::string message(const std::string& start) const {
+  std::string message(const std::string& start) {
     for (int i = 0; i < 200; ++i) {
       std::string text = socket_.next(30'000);
       if (text.empty() || text.rfind(start, 0) == 0) return text;
@@ -91,7 +91,7 @@ TEST_F(ServiceTest, TellsSystemdThatItIsReadyLivesAndStops) {
   EXPECT_EQ(status["device"]["missed_vital"], 0);
   EXPECT_EQ(status["watchdog"]["managed"], true);
   EXPECT_EQ(status["watchdog"]["timeout_ms"], 400);
-  EXPECT_GE(status["watchdog"]["pings"], 3);
+  EXPECT_GE(status["watchdog"]["pings"], 2) << "the third may be newer than this status";
   EXPECT_EQ(status["effort"]["rung"], "full network");
   EXPECT_TRUE(status["thermal"].contains("throttled"));
   kill(program.pid(), SIGTERM);
@@ -129,9 +129,12 @@ TEST_F(ServiceTest, AStalledInferenceStopsThePing) {
   const pid_t infer = thread_of(program.pid(), "infer");
   if (ptrace(PTRACE_SEIZE, infer, nullptr, nullptr) != 0) GTEST_SKIP() << "may not trace";
   ASSERT_EQ(ptrace(PTRACE_INTERRUPT, infer, nullptr, nullptr), 0);
+  ASSERT_EQ(waitpid(infer, nullptr, __WALL), infer);
   EXPECT_THAT(message("STATUS=fault"), HasSubstr("fault: "));
   EXPECT_EQ(socket_.next(1500), "") << "the watchdog's time-out is 400 ms";
   EXPECT_THAT(test::get(port_of(program), "/healthz"), StartsWith("HTTP/1.1 503 "));
+  ASSERT_EQ(ptrace(PTRACE_DETACH, infer, nullptr, nullptr), 0);
+  EXPECT_EQ(message("WATCHDOG=1"), "WATCHDOG=1") << "it goes on, and so does the ping";
 }
 
 TEST_F(ServiceTest, AbsentGpioIsAWarning) {

@@ -43,8 +43,9 @@ class SupervisorTest : public testing::Test {
   }
 
   // No frame comes, and the pipeline says so.
-  void wait(std::int64_t ns, const char* fault = "fake: plug it in") {
-    seen_.pipeline.state = PipelineState::kNoSignal;
+  void wait(std::int64_t ns, const char* fault = "fake: plug it in",
+            PipelineState state = PipelineState::kNoSignal) {
+    seen_.pipeline.state = state;
     seen_.fault = fault;
     pass(ns);
   }
@@ -75,7 +76,7 @@ TEST_F(SupervisorTest, BootsAndIsReadyWithTheFirstDepth) {
 }
 
 TEST_F(SupervisorTest, ACameraAbsentAtBootIsADeclaredWait) {
-  wait(kLookNs);
+  wait(kLookNs, "fake: plug it in", PipelineState::kNoCamera);
   EXPECT_EQ(now_.state, DeviceState::kWaitingForCamera);
   EXPECT_STREQ(now_.reason, "fake: plug it in");
   EXPECT_TRUE(now_.ready) << "an absent camera does not hold up the boot";
@@ -189,6 +190,15 @@ TEST_F(SupervisorTest, WhatIsLostIsSaid) {
   stream();
   EXPECT_EQ(changes_.size(), before + 1) << "another rung is another line";
   EXPECT_TRUE(now_.alive);
+}
+
+TEST_F(SupervisorTest, ACameraThatNothingBringsBackIsAFault) {
+  stream();
+  seen_.pipeline.state = PipelineState::kFault;
+  seen_.fault = "fake: no frames";
+  pass(kLookNs);
+  EXPECT_EQ(now_.state, DeviceState::kFault);
+  EXPECT_THAT(now_.reason, HasSubstr("fake: no frames"));
 }
 
 TEST_F(SupervisorTest, TheEndOfASourceIsNoFault) {
