@@ -40,6 +40,10 @@ Pipeline::EngineView view_of(const Engine& engine) {
   return {engine.stats(), engine.depth_camera(), engine.scale()};
 }
 
+std::size_t pixels_of(const CameraModel& camera) {
+  return static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+}
+
 }  // namespace
 
 Pipeline::Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* decoder,
@@ -217,11 +221,12 @@ Status Pipeline::prepare_engine(const Source& source) {
     Result<std::unique_ptr<Engine>> small = make_small_engine_(pixels, source.model);
     if (small) small_engine_ = std::move(*small);  // else do without: depth waits for no spare
   }
-  const CameraModel& depth = engine_->depth_camera();
-  millimetres_.assign(static_cast<std::size_t>(depth.width) * depth.height, 0);
+  const EngineView full = view_of(*engine_);
+  const EngineView small = small_engine_ ? view_of(*small_engine_) : full;
+  millimetres_.assign(std::max(pixels_of(full.depth_camera), pixels_of(small.depth_camera)), 0);
   const std::lock_guard lock(mutex_);
-  view_ = view_of(*engine_);
-  small_view_ = view_of(small_engine_ ? *small_engine_ : *engine_);
+  view_ = full;
+  small_view_ = small;
   return Status::ok();
 }
 
