@@ -188,8 +188,9 @@ TEST(LightPatterns, StandInTheManuals) {
     for (std::size_t i = 0; i < kDeviceStates; ++i) {
       const auto state = static_cast<DeviceState>(i);
       const std::string pattern(light_pattern(state));
-      const std::regex row(std::string("[|#] +") + to_string(state) + "[ |`]+" +
-                           std::regex_replace(pattern, std::regex("\\."), "\\.") + "[`\n]");
+      const std::string escaped = std::regex_replace(pattern, std::regex("\\."), "\\.");
+      const std::regex row(std::string("[|#] +") + to_string(state) + " [^\n]*[ `]" + escaped +
+                           "[`\n]");
       EXPECT_TRUE(std::regex_search(text, row)) << manual << ": " << to_string(state);
     }
   }
