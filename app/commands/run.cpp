@@ -1,6 +1,5 @@
 // lcdm run: the camera service. Source -> pipeline -> page.
 #include <algorithm>
-#include <chrono>
 #include <cstdio>
 #include <memory>
 #include <optional>
@@ -9,12 +8,15 @@
 
 #include "app/commands/commands.h"
 #include "app/common_options.h"
+#include "app/engine_factory.h"
 #include "app/exit_code.h"
 #include "app/http_server.h"
+#include "app/http_token.h"
 #include "app/live_view.h"
 #include "app/mjpeg_decoder.h"
 #include "app/recorder.h"
 #include "app/report.h"
+#include "app/service.h"
 #include "app/source.h"
 #include "app/stop_signals.h"
 #include "app/web_service.h"
@@ -22,8 +24,6 @@
 
 namespace lcdm {
 namespace {
-
-constexpr std::chrono::milliseconds kWatchPeriod{250};
 
 struct RunOptions {
   CommonOptions common;
@@ -43,50 +43,17 @@ Result<Config> load(const RunOptions& options) {
   return options.common.load(std::move(more));
 }
 
-// The first engine is made from the file that was already read and checked; later ones, for a
-// camera that came back different, read it again, so that it need not stay in memory.
-Pipeline::EngineFactory engine_factory(const Config& config, ModelFile first) {
-  auto kept = std::make_shared<std::optional<ModelFile>>(std::move(first));
-  return [config, kept](const FrameFormat& format,
-                        const CameraModel& model) -> Result<std::unique_ptr<Engine>> {
-    if (*kept) {
-      auto engine = Engine::prepare(**kept, engine_options(config), format, model);
-      kept->reset();
-      return engine;
-    }
-    const Result<ModelFile> file = load_model(config);
-    if (!file) return file.status();
-    return Engine::prepare(*file, engine_options(config), format, model);
-  };
-}
-
-// Says when the state changes, until a signal comes, the source ends or its recovery is at an end.
-// False: only a new process may help.
-bool watch(const Pipeline& pipeline, const StopSignals& signals) {
-  PipelineState last = PipelineState::kStarting;
-  while (!signals.wait_for(kWatchPeriod)) {
-    const PipelineState now = pipeline.health().state();
-    if (now == last) continue;
-    last = now;
-    const std::string fault = pipeline.fault();
-    std::printf("%s%s%s\n", to_string(now), fault.empty() ? "" : ": ", fault.c_str());
-    std::fflush(stdout);
-    if (now == PipelineState::kFinished) return true;
-    if (now == PipelineState::kFault) return false;
-  }
-  return true;
-}
-
-void announce(const HttpServer& server, const Pipeline& pipeline) {
-  const Pipeline::Source source = pipeline.source();
-  std::printf("source  %s (%s)\n", source.info.uri.c_str(), source.info.description.c_str());
-  const EngineStats stats = pipeline.engine().stats;
-  if (stats.width > 0) {  // else made when the camera arrives
-    std::printf("model   %s, %dx%d, %d thread%s\n", stats.model_name.c_str(), stats.width,
-                stats.height, stats.threads, stats.threads == 1 ? "" : "s");
-  }
-  std::printf("page    %s\n", server.address().c_str());
-  std::fflush(stdout);
+Result<HttpOptions> http_options(const Config& config) {
+  HttpOptions http;
+  http.listen = listen_addresses(config.http.listen);
+  http.port = config.http.port;
+  http.max_clients = config.http.max_clients;
+  http.insecure = config.http.insecure;
+  if (config.http.token_file.empty()) return http;
+  const Result<std::string> token = read_token(config.http.token_file);
+  if (!token) return token.status();
+  http.token = *token;
+  return http;
 }
 
 int run(const RunOptions& options) {
@@ -95,6 +62,9 @@ int run(const RunOptions& options) {
   if (!config) return report_unusable(config.status());
   Result<ModelFile> model = load_model(*config);
   if (!model) return report_unusable(model.status());
+
+  const Result<HttpOptions> http = http_options(*config);
+  if (!http) return report_unusable(http.status());
 
   if (config->camera.source == "auto") {
     config->camera.source = choose_source(capture_request(*config), [](const std::string& line) {
@@ -112,23 +82,24 @@ int run(const RunOptions& options) {
   pipeline_options.request = capture_request(*config);
   pipeline_options.seal_capture = source->seal_capture;
   pipeline_options.port = source->port.get();
-  Pipeline pipeline(*source->camera, engine_factory(*config, std::move(*model)), &decoder,
-                    {&view, &recorder}, pipeline_options);
+  const EngineFactories factories = engine_factories(*config, std::move(*model));
+  Pipeline pipeline(*source->camera, factories.full, &decoder, {&view, &recorder}, pipeline_options,
+                    factories.small);
+  Service service(pipeline, view, recorder, *config);
 
   // The port before the pipeline: what cannot be shown need not start.
-  HttpOptions http;
-  http.listen = config->http.listen;
-  http.port = config->http.port;
-  http.max_clients = config->http.max_clients;
-  const auto server = HttpServer::start(http, web_routes(pipeline, view, recorder));
+  const auto server = HttpServer::start(*http, web_routes(pipeline, view, recorder, service));
   if (!server) return report_failure(server.status());
+  for (const std::string& address : (*server)->left_out()) {
+    std::fprintf(stderr, "lcdm: warning: http.listen: this machine does not have %s: left out\n",
+                 address.c_str());
+  }
 
   Status status = pipeline.start();
   if (status) {
-    announce(**server, pipeline);
-    if (!watch(pipeline, signals)) {
-      status = Status::error(StatusCode::kIoError, "nothing brings the camera back; start again");
-    }
+    std::printf("page    %s\n", (*server)->address().c_str());
+    std::fflush(stdout);
+    status = service.run(signals);
   }
   view.stop();
   (*server)->stop();

@@ -31,12 +31,22 @@ milliseconds three_periods(float frames_per_second) {
   return milliseconds(static_cast<int>(std::clamp(3000 / frames_per_second, 30.0F, 30'000.0F)));
 }
 
+Pipeline::EngineView view_of(const Engine& engine) {
+  return {engine.stats(), engine.depth_camera(), engine.scale()};
+}
+
+std::size_t pixels_of(const CameraModel& camera) {
+  return static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+}
+
 }  // namespace
 
 Pipeline::Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* decoder,
-                   std::vector<DepthSink*> sinks, PipelineOptions options)
+                   std::vector<DepthSink*> sinks, PipelineOptions options,
+                   EngineFactory make_small_engine)
     : camera_(camera),
       make_engine_(std::move(make_engine)),
+      make_small_engine_(std::move(make_small_engine)),
       decoder_(decoder),
       sinks_(std::move(sinks)),
       options_(std::move(options)),
@@ -148,9 +158,18 @@ void Pipeline::infer_loop() {
     if (!captured || stopping_) continue;
     if (captured->generation != prepared_generation_) follow_source(captured->generation);
     alloc_watch::seal_thread();  // steady from here on
+    if (resting()) {
+      health_.note_skipped();
+      continue;
+    }
     if (const Status status = infer(captured->frame.view()); !status) note_fault(status);
   }
   alloc_watch::unseal_thread();
+}
+
+// A processor that works half the time only cools down. Frames that come meanwhile are skipped.
+bool Pipeline::resting() const {
+  return effort_ == Effort::kSmallNetworkRest && os::monotonic_ns() < rest_until_ns_;
 }
 
 // Frames come, but no depth: one is a count, a silence is a state.
@@ -176,7 +195,8 @@ void Pipeline::follow_source(std::uint64_t generation) {
 // Makes decoder, engine and depth image for `source`. On error there is no engine, and every
 // frame of this source counts as failed.
 Status Pipeline::prepare_engine(const Source& source) {
-  engine_.reset();  // its memory first: two may not fit
+  engine_.reset();  // their memory first: four may not fit
+  small_engine_.reset();
   prepared_format_ = source.format;
   prepared_model_ = source.model;
   FrameFormat pixels = source.format;
@@ -192,17 +212,23 @@ Status Pipeline::prepare_engine(const Source& source) {
   Result<std::unique_ptr<Engine>> made = make_engine_(pixels, source.model);
   if (!made) return made.status();
   engine_ = std::move(*made);
-  const CameraModel& depth = engine_->depth_camera();
-  millimetres_.assign(static_cast<std::size_t>(depth.width) * depth.height, 0);
+  if (make_small_engine_) {
+    Result<std::unique_ptr<Engine>> small = make_small_engine_(pixels, source.model);
+    if (small) small_engine_ = std::move(*small);  // else do without: depth waits for no spare
+  }
+  const EngineView full = view_of(*engine_);
+  const EngineView small = small_engine_ ? view_of(*small_engine_) : full;
+  millimetres_.assign(std::max(pixels_of(full.depth_camera), pixels_of(small.depth_camera)), 0);
   const std::lock_guard lock(mutex_);
-  stats_ = engine_->stats();
-  depth_camera_ = depth;
-  scale_ = engine_->scale();
+  view_ = full;
+  small_view_ = small;
   return Status::ok();
 }
 
 Status Pipeline::infer(const FrameView& captured) {
   if (!engine_) return engine_status_;
+  const bool small = effort_ != Effort::kFull && small_engine_;
+  Engine& engine = small ? *small_engine_ : *engine_;
   FrameView pixels = captured;
   if (captured.format.pixel == PixelFormat::kMjpeg) {
     const Result<FrameView> decoded = decoder_->decode(captured);
@@ -211,16 +237,18 @@ Status Pipeline::infer(const FrameView& captured) {
   }
   DepthFrame frame;
   frame.meta = captured.meta;
-  frame.camera = engine_->depth_camera();
-  frame.scale = engine_->scale();
+  frame.camera = engine.depth_camera();
+  frame.scale = engine.scale();
   frame.millimetres = millimetres_.data();
   frame.colour = captured;
   frame.pixels = pixels;
   const std::int64_t begin_ns = os::monotonic_ns();
-  LCDM_RETURN_IF_ERROR(engine_->run(
-      pixels, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
+  LCDM_RETURN_IF_ERROR(
+      engine.run(pixels, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
   frame.done_ns = os::monotonic_ns();
   frame.inference_ns = frame.done_ns - begin_ns;
+  rest_until_ns_ = frame.done_ns + frame.inference_ns;
+  small_in_use_ = small;
   deliver(frame);
   return Status::ok();
 }
@@ -244,7 +272,7 @@ Pipeline::Source Pipeline::source() const {
 
 Pipeline::EngineView Pipeline::engine() const {
   const std::lock_guard lock(mutex_);
-  return {stats_, depth_camera_, scale_};
+  return small_in_use_ ? small_view_ : view_;
 }
 
 std::string Pipeline::fault() const {

@@ -186,7 +186,7 @@ TEST_F(Cli, ACameraThatIsNotPluggedInIsWaitedForByRunOnly) {
 
 TEST_F(Cli, RunRefusesAPortInUse) {
   HttpOptions options;
-  options.listen = "127.0.0.1";
+  options.listen = {"127.0.0.1"};
   const auto other = HttpServer::start(options, {});
   ASSERT_TRUE(other);
   const std::string port = std::to_string((*other)->port());

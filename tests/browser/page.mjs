@@ -6,6 +6,7 @@
 // each thing that holds, and ends with status 1 at the first that does not.
 import { spawn } from "node:child_process";
 import { mkdirSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { networkInterfaces } from "node:os";
 import { join } from "node:path";
 import { setTimeout as sleep } from "node:timers/promises";
 import { chromium } from "playwright-core";
@@ -44,9 +45,9 @@ function makePictures() {
 }
 
 // Starts `lcdm run` and resolves to {process, address} when it has printed where it is.
-function startCamera(port, source = "scene:") {
+function startCamera(port, source = "scene:", ...more) {
   const args = ["run", "--source", source, "--model", model, "--port", String(port),
-    "--set", "model.width=128", "--set", "model.height=96"];
+    "--set", "model.width=128", "--set", "model.height=96", ...more];
   const camera = spawn(program, args, { stdio: ["ignore", "pipe", "inherit"] });
   cameras.add(camera);
   return new Promise((resolve, reject) => {
@@ -235,6 +236,36 @@ async function saysNoSignal(context) {
   await stopCamera(camera);
 }
 
+// From beyond loopback: looking is free, recording takes the token, which the page asks for once.
+async function asksForTheToken(context) {
+  const outside = Object.values(networkInterfaces()).flat()
+    .find(({ family, internal }) => family === "IPv4" && !internal);
+  if (!outside) return console.log("skipped: no address but loopback");
+  const token = "0123456789abcdef";
+  const file = join(folder, "token");
+  writeFileSync(file, `${token}\n`, { mode: 0o600 });
+  const camera = await startCamera(0, "scene:", "--listen", outside.address,
+    "--set", `http.token_file=${file}`, "--set", `record.directory=${join(folder, "recordings")}`);
+  const page = context.pages()[0];
+  await page.goto(camera.address);
+  await eventually(async () => (await page.textContent("#state")) === "Live", "looking needs no token");
+  const dialog = page.locator("#token-dialog");
+  await page.click("#record");
+  await eventually(() => dialog.isVisible(), "recording does: the page asks for it");
+  await page.click("#token-cancel");
+  await eventually(async () => (await page.textContent("#record-text")).includes("token"), "without it nothing happens");
+  await page.click("#record");
+  await page.fill("#token", "wrong-wrong-wrong");
+  await page.click("#token-send");
+  await eventually(async () => (await dialog.isVisible()) && (await page.inputValue("#token")) === "", "a wrong one is asked for again");
+  await page.fill("#token", token);
+  await page.keyboard.press("Enter");
+  await eventually(async () => (await page.textContent("#state")) === "Recording", "the right one records");
+  await page.click("#record");
+  await eventually(async () => (await page.textContent("#state")) === "Live", "and stops, without being typed again");
+  await stopCamera(camera);
+}
+
 const context = await chromium.launchPersistentContext(mkdtempSync(join(folder, "profile-")), {
   executablePath: "/usr/bin/chromium",
   viewport: { width: 1440, height: 900 },
@@ -246,6 +277,7 @@ let status = 0;
 try {
   await showsTheScene(context);
   await saysNoSignal(context);
+  await asksForTheToken(context);
 } catch (error) {
   console.error(error.message);
   status = 1;

@@ -1,0 +1,154 @@
+#include "app/service.h"
+
+#include <array>
+#include <chrono>
+#include <cstdio>
+#include <string>
+#include <utility>
+
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+constexpr std::chrono::milliseconds kLookPeriod{50};
+// `systemctl status` shows figures no older than this.
+constexpr std::int64_t kStatusLineNs = 10'000'000'000;
+constexpr std::int64_t kHeatPeriodNs = 1'000'000'000;
+
+// "streaming, 12.3 depths/s", "waiting for camera: /dev/video0 is not there".
+std::string status_line(const Judgement& now, double rate) {
+  std::string line = to_string(now.state);
+  if (now.reason[0] != 0) line += std::string(": ") + now.reason;
+  if (!gives_depth(now.state) || rate <= 0) return line;
+  char figures[32];
+  std::snprintf(figures, sizeof(figures), ", %.1f depths/s", rate);
+  return line + figures;
+}
+
+}  // namespace
+
+bool gives_depth(DeviceState state) {
+  return state == DeviceState::kStreaming || state == DeviceState::kRecording ||
+         state == DeviceState::kDegraded;
+}
+
+Service::Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config)
+    : pipeline_(pipeline),
+      view_(view),
+      recorder_(recorder),
+      control_(pipeline, recorder),
+      panel_(config.gpio),
+      ladder_(config.service.least_rate) {
+  notify_.status(to_string(DeviceState::kBooting));
+}
+
+Status Service::run(const StopSignals& signals) {
+  look();
+  Status status;
+  while (status && !signals.wait_for(kLookPeriod)) {
+    look();
+    const PipelineState state = pipeline_.health().state();
+    if (state == PipelineState::kFinished) break;
+    if (state == PipelineState::kFault) {
+      status = Status::error(StatusCode::kIoError, "nothing brings the camera back; start again");
+    }
+  }
+  notify_.stopping(status ? "stopping" : "restart: nothing brings the camera back");
+  return status;
+}
+
+ServiceStatus Service::status() const {
+  const std::lock_guard lock(mutex_);
+  return status_;
+}
+
+void Service::look() {
+  const std::int64_t now_ns = os::monotonic_ns();
+  const std::string fault = pipeline_.fault();
+  const RecorderStatus recorder = recorder_.status();
+  const std::array<OutputPulse, 3> outputs = {{{"encode", view_.heartbeat().age_ns(now_ns)},
+                                               {"record", recorder_.heartbeat().age_ns(now_ns)},
+                                               {"control", control_.heartbeat().age_ns(now_ns)}}};
+  Observation seen;
+  seen.now_ns = now_ns;
+  seen.pipeline = pipeline_.health().snapshot(now_ns);
+  seen.fault = fault.c_str();
+  seen.outputs = outputs;
+  seen.recording = recorder.recording;
+  seen.output_fault = recorder.fault.c_str();
+  seen.effort = judge_load(seen.pipeline, now_ns);
+  seen.effort_reason = ladder_.reason();
+  const Judgement& now = supervisor_.judge(seen);
+  if (now.changed) say(now);
+  notify(now, seen.pipeline.frames_per_second, now_ns);
+  control_.press(panel_.look(now.state, now.alive, now_ns));
+  publish(now, now_ns);
+}
+
+// Follows heat and speed, and tells the pipeline.
+Effort Service::judge_load(const HealthSnapshot& pipeline, std::int64_t now_ns) {
+  if (heat_read_ns_ == 0 || now_ns - heat_read_ns_ >= kHeatPeriodNs) {
+    heat_ = thermal_.read();
+    heat_read_ns_ = now_ns;
+  }
+  LoadFacts facts;
+  facts.now_ns = now_ns;
+  facts.throttled = heat_.throttled;
+  facts.headroom_celsius = heat_.headroom_celsius;
+  facts.inference_ns = pipeline.inference_p50_ns;
+  effort_ = ladder_.judge(facts);
+  pipeline_.set_effort(effort_);
+  return effort_;
+}
+
+// Changes at once, figures now and then, pings at half of the watchdog's time-out.
+void Service::notify(const Judgement& now, double rate, std::int64_t now_ns) {
+  const bool first_ready = now.ready && !ready_said_;
+  if (now.changed || first_ready || now_ns - last_line_ns_ >= kStatusLineNs) {
+    const std::string line = status_line(now, rate);
+    first_ready ? notify_.ready(line) : notify_.status(line);
+    ready_said_ = now.ready;
+    last_line_ns_ = now_ns;
+  }
+  const std::int64_t period = notify_.watchdog_ns() / 2;
+  if (period == 0 || !now.ready || !now.alive || now_ns - last_ping_ns_ < period) return;
+  notify_.ping();
+  last_ping_ns_ = now_ns;
+  ++pings_;
+}
+
+void Service::publish(const Judgement& now, std::int64_t now_ns) {
+  ServiceStatus status;
+  status.judgement = now;
+  status.looked_ns = now_ns;
+  status.managed = notify_.listened();
+  status.watchdog_ns = notify_.watchdog_ns();
+  status.pings = pings_;
+  status.effort = effort_;
+  status.effort_reason = ladder_.reason();
+  status.lowered = ladder_.lowered();
+  status.raised = ladder_.raised();
+  status.thermal = heat_;
+  status.gpio_warnings = panel_.warnings();
+  const std::lock_guard lock(mutex_);
+  status_ = std::move(status);
+}
+
+// Every change once, with its reason.
+void Service::say(const Judgement& now) {
+  if (gives_depth(now.state) && !announced_) announce_source();
+  std::printf("%s%s%s\n", to_string(now.state), now.reason[0] == 0 ? "" : ": ", now.reason);
+  std::fflush(stdout);
+}
+
+void Service::announce_source() {
+  announced_ = true;
+  const Pipeline::Source source = pipeline_.source();
+  const EngineStats stats = pipeline_.engine().stats;
+  std::printf("source  %s (%s)\n", source.info.uri.c_str(), source.info.description.c_str());
+  std::printf("model   %s, %dx%d, %d thread%s\n", stats.model_name.c_str(), stats.width,
+              stats.height, stats.threads, stats.threads == 1 ? "" : "s");
+}
+
+}  // namespace lcdm
