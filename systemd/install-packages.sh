@@ -2,6 +2,7 @@
 # Installs the Debian packages that a group of tasks needs, from the machine's own package sources.
 #
 #   systemd/install-packages.sh run          build and run lcdm (all a board needs)
+#   systemd/install-packages.sh package      make a .deb of it
 #   systemd/install-packages.sh test         run the tests and checks
 #   systemd/install-packages.sh train        build lcdm-train (LibTorch; about 200 MB)
 #
@@ -14,23 +15,26 @@ run=(
   libjpeg-dev libturbojpeg0-dev libpng-dev libcivetweb-dev libcli11-dev libtoml11-dev
   nlohmann-json3-dev
 )
+package=(debhelper)
 test=(
   libgtest-dev libgmock-dev libumockdev-dev umockdev clang-format clang-tidy chromium
   fonts-dejavu-core git nodejs npm opencv-doc g++-11
+  lintian mmdebstrap e2fsprogs openssh-client qemu-system-x86 qemu-utils curl
 )
 train=(libtorch-dev libopenblas0-pthread libgloo-dev libmatio-dev libhdf5-dev python3-torch)
 
-usage() { sed -n '2,9s/^# \{0,1\}//p' "$0"; }
+usage() { sed -n '2,10s/^# \{0,1\}//p' "$0"; }
 
 packages=()
 [[ $# -gt 0 ]] || { usage >&2; exit 2; }
 for group in "$@"; do
   case $group in
     run) packages+=("${run[@]}") ;;
+    package) packages+=("${package[@]}") ;;
     test) packages+=("${test[@]}") ;;
     train) packages+=("${train[@]}") ;;
     -h | --help) usage; exit 0 ;;
-    *) echo "install-packages: unknown group '$group': use run, test or train" >&2; exit 2 ;;
+    *) echo "install-packages: unknown group '$group': use run, package, test or train" >&2; exit 2 ;;
   esac
 done
 
