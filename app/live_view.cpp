@@ -74,7 +74,11 @@ void LiveView::offer(const DepthFrame& frame) noexcept {
 void LiveView::run() {
   os::set_thread_name("encode");
   os::lower_thread_priority(kNiceSteps);
-  while (fetch()) encode();
+  while (fetch()) {
+    heartbeat_.beat(os::monotonic_ns());
+    encode();
+    heartbeat_.rest();
+  }
 }
 
 // Swaps the newest offered frame into working_. False when it is time to end.

@@ -15,6 +15,7 @@
 #include "app/depth_colour.h"
 #include "app/rgb_picture.h"
 #include "drivers/codec.h"
+#include "firmware/health/heartbeat.h"
 #include "firmware/pipeline/depth_sink.h"
 
 namespace lcdm {
@@ -81,6 +82,8 @@ class LiveView final : public DepthSink {
   void stop();
   // The number of the newest frame that was offered, encoded or not.
   std::uint64_t newest() const { return number_.load(); }
+  // Of the thread `encode`: rests while there is nothing to encode.
+  const Heartbeat& heartbeat() const { return heartbeat_; }
 
  private:
   // A frame of our own. The vectors only grow, and only on the encode thread.
@@ -122,6 +125,7 @@ class LiveView final : public DepthSink {
   const std::string source_name_;
   std::array<Slot, kProducts> slots_;
   std::atomic<std::uint64_t> number_{0};  // written by infer only
+  Heartbeat heartbeat_;
 
   std::mutex mutex_;  // guards what follows
   std::condition_variable offered_;

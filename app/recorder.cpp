@@ -179,7 +179,9 @@ void Recorder::record_loop() {
   os::lower_thread_priority(5);
   Status status;
   while (status) {
+    heartbeat_.rest();
     work_.acquire();
+    heartbeat_.beat(os::monotonic_ns());
     const auto index = filled_.pop();
     if (!index) {
       if (stopping_) break;
@@ -189,6 +191,7 @@ void Recorder::record_loop() {
     LCDM_CHECK(free_.push(*index));
   }
   finish(status);
+  heartbeat_.rest();
 }
 
 // One frame, with the calibration before it where a chunk begins: each chunk stands for itself.

@@ -14,6 +14,7 @@
 
 #include "drivers/codec.h"
 #include "firmware/buffer/spsc_ring.h"
+#include "firmware/health/heartbeat.h"
 #include "firmware/pipeline/depth_sink.h"
 #include "firmware/vision/camera_model.h"
 #include "firmware/wire/mcap_writer.h"
@@ -52,6 +53,8 @@ class Recorder final : public DepthSink {
   // Ends it and completes the file. Harmless when nothing is recorded.
   void stop();
   RecorderStatus status() const;
+  // Of the thread `record`: rests while there is nothing to write.
+  const Heartbeat& heartbeat() const { return heartbeat_; }
 
   // All slots are waiting for the disk.
   bool full() const noexcept { return recording_ && free_.empty(); }
@@ -103,6 +106,7 @@ class Recorder final : public DepthSink {
   std::atomic<std::uint64_t> frames_{0};
   std::atomic<std::uint64_t> dropped_{0};
   std::atomic<std::uint64_t> bytes_{0};
+  Heartbeat heartbeat_;
 
   // The record thread's while it runs, start()'s before.
   FrameFormat format_;

@@ -59,10 +59,27 @@ nlohmann::json depth_json(const Pipeline::EngineView& engine) {
           {"height", engine.depth_camera.height}};
 }
 
+// The state of the whole device; `state` beside it is that of the pictures.
+nlohmann::json device_json(const ServiceStatus& now) {
+  return {{"state", to_string(now.judgement.state)},
+          {"reason", now.judgement.reason},
+          {"changes", now.judgement.changes},
+          {"ready", now.judgement.ready},
+          {"missed_vital", now.judgement.missed_vital},
+          {"missed_outputs", now.judgement.missed_outputs}};
+}
+
+nlohmann::json watchdog_json(const ServiceStatus& now) {
+  return {{"managed", now.managed},
+          {"alive", now.judgement.alive},
+          {"timeout_ms", milliseconds(now.watchdog_ns)},
+          {"pings", now.pings}};
+}
+
 }  // namespace
 
-nlohmann::json status_json(const Pipeline& pipeline, const RecorderStatus& recorder, int viewers,
-                           std::int64_t started_ns) {
+nlohmann::json status_json(const Pipeline& pipeline, const RecorderStatus& recorder,
+                           const ServiceStatus& service, int viewers, std::int64_t started_ns) {
   const std::int64_t now_ns = os::monotonic_ns();
   const HealthSnapshot now = pipeline.health().snapshot(now_ns);
   const Pipeline::EngineView engine = pipeline.engine();
@@ -80,6 +97,8 @@ nlohmann::json status_json(const Pipeline& pipeline, const RecorderStatus& recor
   json["depth"] = depth_json(engine);
   json["model"] = model_json(engine.stats);
   json["recording"] = recording_json(recorder);
+  json["device"] = device_json(service);
+  json["watchdog"] = watchdog_json(service);
   return json;
 }
 

@@ -19,37 +19,38 @@ using Wait = LiveView::Wait;
 constexpr milliseconds kPictureWait{3000};
 // A viewer hears from us at least this often, frames or not.
 constexpr milliseconds kSignOfLife{1000};
-// A thread without a sign of life for this long hangs. The slowest network on the slowest board
-// needs less for a frame.
-constexpr std::int64_t kHeartbeatDeadlineNs = 10'000'000'000;
+// Without a look of main's at everything for this long, its judgement counts no more.
+constexpr std::int64_t kLookDeadlineNs = 5'000'000'000;
 
 constexpr const char* kJson = "application/json";
 constexpr const char* kText = "text/plain; charset=utf-8";
 
-struct Service {
+struct Parts {
   const Pipeline& pipeline;
   LiveView& view;
   Recorder& recorder;
+  const Service& service;
   std::int64_t started_ns;
 
   nlohmann::json status(const HttpExchange& exchange) const {
-    return status_json(pipeline, recorder.status(), exchange.viewers(), started_ns);
+    return status_json(pipeline, recorder.status(), service.status(), exchange.viewers(),
+                       started_ns);
   }
 };
-using ServicePtr = std::shared_ptr<const Service>;
+using PartsPtr = std::shared_ptr<const Parts>;
 
 HttpRoute file_route(const std::string& path, const std::string& name, const std::string& type) {
   return {path, "GET", false,
           [name, type](HttpExchange& exchange) { exchange.send(200, type, find_web_file(name)); }};
 }
 
-void send_health(const Service& service, HttpExchange& exchange) {
-  const HealthSnapshot now = service.pipeline.health().snapshot(os::monotonic_ns());
-  const bool hangs = now.capture_heartbeat_age_ns > kHeartbeatDeadlineNs ||
-                     now.infer_heartbeat_age_ns > kHeartbeatDeadlineNs;
-  const bool well = now.state == PipelineState::kStreaming && !hangs;
+void send_health(const Parts& parts, HttpExchange& exchange) {
+  const ServiceStatus now = parts.service.status();
+  const bool hangs = os::monotonic_ns() - now.looked_ns > kLookDeadlineNs;
+  const DeviceState state = now.judgement.state;
+  const bool well = gives_depth(state) && !hangs;
   exchange.send_text(well ? 200 : 503, kText,
-                     std::string(hangs ? "a thread hangs" : to_string(now.state)) + "\n");
+                     std::string(hangs ? "thread main hangs" : to_string(state)) + "\n");
 }
 
 // Everything that one must know to use the depth rightly, as headers.
@@ -69,33 +70,33 @@ std::string text_of(const nlohmann::json& json) {
   return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
 }
 
-void start_recording(const Service& service, HttpExchange& exchange) {
-  const Pipeline::Source source = service.pipeline.source();
-  const Status status = service.recorder.start(source.info.uri, source.format, source.model);
+void start_recording(const Parts& parts, HttpExchange& exchange) {
+  const Pipeline::Source source = parts.pipeline.source();
+  const Status status = parts.recorder.start(source.info.uri, source.format, source.model);
   if (!status) {
     exchange.send_text(500, kText, std::string(status.text()) + "\n");
     return;
   }
-  exchange.send_text(200, kJson, text_of(service.status(exchange)["recording"]));
+  exchange.send_text(200, kJson, text_of(parts.status(exchange)["recording"]));
 }
 
-void stop_recording(const Service& service, HttpExchange& exchange) {
-  service.recorder.stop();
-  exchange.send_text(200, kJson, text_of(service.status(exchange)["recording"]));
+void stop_recording(const Parts& parts, HttpExchange& exchange) {
+  parts.recorder.stop();
+  exchange.send_text(200, kJson, text_of(parts.status(exchange)["recording"]));
 }
 
-void send_depth_png(const Service& service, HttpExchange& exchange) {
-  LiveView::Subscription subscription(service.view, Product::kDepthPng);
+void send_depth_png(const Parts& parts, HttpExchange& exchange) {
+  LiveView::Subscription subscription(parts.view, Product::kDepthPng);
   ProductCopy product;
-  if (subscription.wait_newer(service.view.newest(), kPictureWait, product) != Wait::kNewer) {
-    exchange.send_text(503, kText, "no signal: " + service.pipeline.fault() + "\n",
+  if (subscription.wait_newer(parts.view.newest(), kPictureWait, product) != Wait::kNewer) {
+    exchange.send_text(503, kText, "no signal: " + parts.pipeline.fault() + "\n",
                        {{"Retry-After", "1"}});
     return;
   }
   exchange.send(200, "image/png", product.bytes, depth_headers(product));
 }
 
-void stream_mjpeg(const Service& service, HttpExchange& exchange) {
+void stream_mjpeg(const Parts& parts, HttpExchange& exchange) {
   const std::string wanted = exchange.query("view");
   if (!wanted.empty() && wanted != "colour" && wanted != "depth") {
     exchange.send_text(400, kText, "view is colour or depth, or left out for both\n");
@@ -104,10 +105,10 @@ void stream_mjpeg(const Service& service, HttpExchange& exchange) {
   const Product kind = wanted == "colour"  ? Product::kColourJpeg
                        : wanted == "depth" ? Product::kDepthJpeg
                                            : Product::kSideJpeg;
-  LiveView::Subscription subscription(service.view, kind);
+  LiveView::Subscription subscription(parts.view, kind);
   if (!exchange.begin_stream("multipart/x-mixed-replace; boundary=frame")) return;
   ProductCopy product;
-  product.number = service.view.newest();
+  product.number = parts.view.newest();
   bool open = true;
   while (open) {
     const Wait wait = subscription.wait_newer(product.number, kSignOfLife, product);
@@ -136,17 +137,17 @@ std::array<std::byte, 16> live_head(std::size_t json, std::size_t jpeg, std::siz
 }
 
 // The page's stream (web/live.js reads it): status, colour and depth of the same frame.
-void stream_live(const Service& service, HttpExchange& exchange) {
-  LiveView::Subscription subscription(service.view, Product::kLive);
+void stream_live(const Parts& parts, HttpExchange& exchange) {
+  LiveView::Subscription subscription(parts.view, Product::kLive);
   if (!exchange.begin_stream("application/octet-stream")) return;
   ProductCopy product;
-  product.number = service.view.newest();
+  product.number = parts.view.newest();
   bool open = true;
   while (open) {
     const Wait wait = subscription.wait_newer(product.number, kSignOfLife, product);
     if (wait == Wait::kClosed) return;
     const bool came = wait == Wait::kNewer;
-    nlohmann::json status = service.status(exchange);
+    nlohmann::json status = parts.status(exchange);
     if (came) {
       status["picture"] = {{"sequence", product.meta.sequence},
                            {"width", product.camera.width},
@@ -162,16 +163,17 @@ void stream_live(const Service& service, HttpExchange& exchange) {
 
 }  // namespace
 
-std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view, Recorder& recorder) {
-  const ServicePtr service =
-      std::make_shared<const Service>(Service{pipeline, view, recorder, os::monotonic_ns()});
+std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view, Recorder& recorder,
+                                  const Service& service) {
+  const PartsPtr parts =
+      std::make_shared<const Parts>(Parts{pipeline, view, recorder, service, os::monotonic_ns()});
   const auto route = [&](const char* path, bool is_stream, auto handler) {
     return HttpRoute{path, "GET", is_stream,
-                     [service, handler](HttpExchange& exchange) { handler(*service, exchange); }};
+                     [parts, handler](HttpExchange& exchange) { handler(*parts, exchange); }};
   };
   const auto action = [&](const char* path, auto handler) {
     return HttpRoute{path, "POST", false,
-                     [service, handler](HttpExchange& exchange) { handler(*service, exchange); }};
+                     [parts, handler](HttpExchange& exchange) { handler(*parts, exchange); }};
   };
   return {
       file_route("/", "index.html", "text/html; charset=utf-8"),
@@ -184,8 +186,8 @@ std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view, Reco
       route("/stream.mjpg", true, stream_mjpeg),
       route("/depth.png", false, send_depth_png),
       route("/status.json", false,
-            [](const Service& s, HttpExchange& exchange) {
-              exchange.send_text(200, kJson, text_of(s.status(exchange)));
+            [](const Parts& p, HttpExchange& exchange) {
+              exchange.send_text(200, kJson, text_of(p.status(exchange)));
             }),
       route("/healthz", false, send_health),
       action("/record/start", start_recording),

@@ -13,7 +13,7 @@ set -euo pipefail
 run=(
   build-essential cmake ninja-build pkg-config libeigen3-dev libhwy-dev libopencv-dev
   libjpeg-dev libturbojpeg0-dev libpng-dev libcivetweb-dev libcli11-dev libtoml11-dev
-  nlohmann-json3-dev
+  nlohmann-json3-dev libsystemd-dev libgpiod-dev
 )
 package=(debhelper)
 test=(

@@ -1,6 +1,5 @@
 // lcdm run: the camera service. Source -> pipeline -> page.
 #include <algorithm>
-#include <chrono>
 #include <cstdio>
 #include <memory>
 #include <optional>
@@ -15,6 +14,7 @@
 #include "app/mjpeg_decoder.h"
 #include "app/recorder.h"
 #include "app/report.h"
+#include "app/service.h"
 #include "app/source.h"
 #include "app/stop_signals.h"
 #include "app/web_service.h"
@@ -22,8 +22,6 @@
 
 namespace lcdm {
 namespace {
-
-constexpr std::chrono::milliseconds kWatchPeriod{250};
 
 struct RunOptions {
   CommonOptions common;
@@ -60,30 +58,6 @@ Pipeline::EngineFactory engine_factory(const Config& config, ModelFile first) {
   };
 }
 
-// Says when the state changes, until a signal comes or the source ends.
-void watch(const Pipeline& pipeline, const StopSignals& signals) {
-  PipelineState last = PipelineState::kStarting;
-  while (!signals.wait_for(kWatchPeriod)) {
-    const PipelineState now = pipeline.health().state();
-    if (now == last) continue;
-    last = now;
-    const std::string fault = pipeline.fault();
-    std::printf("%s%s%s\n", to_string(now), fault.empty() ? "" : ": ", fault.c_str());
-    std::fflush(stdout);
-    if (now == PipelineState::kFinished) return;
-  }
-}
-
-void announce(const HttpServer& server, const Pipeline& pipeline) {
-  const Pipeline::Source source = pipeline.source();
-  const EngineStats stats = pipeline.engine().stats;
-  std::printf("source  %s (%s)\n", source.info.uri.c_str(), source.info.description.c_str());
-  std::printf("model   %s, %dx%d, %d thread%s\n", stats.model_name.c_str(), stats.width,
-              stats.height, stats.threads, stats.threads == 1 ? "" : "s");
-  std::printf("page    %s\n", server.address().c_str());
-  std::fflush(stdout);
-}
-
 int run(const RunOptions& options) {
   const StopSignals signals;
   Result<Config> config = load(options);
@@ -108,19 +82,21 @@ int run(const RunOptions& options) {
   pipeline_options.seal_capture = source->seal_capture;
   Pipeline pipeline(*source->camera, engine_factory(*config, std::move(*model)), &decoder,
                     {&view, &recorder}, pipeline_options);
+  Service service(pipeline, view, recorder);
 
   // The port before the pipeline: what cannot be shown need not start.
   HttpOptions http;
   http.listen = config->http.listen;
   http.port = config->http.port;
   http.max_clients = config->http.max_clients;
-  const auto server = HttpServer::start(http, web_routes(pipeline, view, recorder));
+  const auto server = HttpServer::start(http, web_routes(pipeline, view, recorder, service));
   if (!server) return report_failure(server.status());
 
   const Status started = pipeline.start();
   if (started) {
-    announce(**server, pipeline);
-    watch(pipeline, signals);
+    std::printf("page    %s\n", (*server)->address().c_str());
+    std::fflush(stdout);
+    service.run(signals);
   }
   view.stop();
   (*server)->stop();

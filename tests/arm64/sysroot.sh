@@ -26,7 +26,7 @@ fi
 libraries=(
   libc6-dev libstdc++-12-dev libeigen3-dev libhwy-dev libopencv-dev libjpeg-dev libturbojpeg0-dev
   libpng-dev libcivetweb-dev libcli11-dev libtoml11-dev nlohmann-json3-dev libgtest-dev
-  libgmock-dev libumockdev-dev
+  libgmock-dev libumockdev-dev libsystemd-dev libgpiod-dev
 )
 sources=()
 for file in /etc/apt/sources.list /etc/apt/sources.list.d/*.list /etc/apt/sources.list.d/*.sources; do

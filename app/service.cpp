@@ -1,0 +1,104 @@
+#include "app/service.h"
+
+#include <array>
+#include <chrono>
+#include <cstdio>
+#include <string>
+
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+constexpr std::chrono::milliseconds kLookPeriod{50};
+// `systemctl status` shows figures no older than this.
+constexpr std::int64_t kStatusLineNs = 10'000'000'000;
+
+// "streaming, 12.3 depths/s", "waiting for camera: /dev/video0 is not there".
+std::string status_line(const Judgement& now, double rate) {
+  std::string line = to_string(now.state);
+  if (now.reason[0] != 0) line += std::string(": ") + now.reason;
+  if (!gives_depth(now.state)) return line;
+  char figures[32];
+  std::snprintf(figures, sizeof(figures), ", %.1f depths/s", rate);
+  return line + figures;
+}
+
+}  // namespace
+
+bool gives_depth(DeviceState state) {
+  return state == DeviceState::kStreaming || state == DeviceState::kRecording ||
+         state == DeviceState::kDegraded;
+}
+
+Service::Service(Pipeline& pipeline, const LiveView& view, const Recorder& recorder)
+    : pipeline_(pipeline), view_(view), recorder_(recorder) {
+  notify_.status(to_string(DeviceState::kBooting));
+}
+
+void Service::run(const StopSignals& signals) {
+  look();
+  while (!signals.wait_for(kLookPeriod)) {
+    look();
+    if (pipeline_.health().state() == PipelineState::kFinished) break;
+  }
+  notify_.stopping("stopping");
+}
+
+ServiceStatus Service::status() const {
+  const std::lock_guard lock(mutex_);
+  return status_;
+}
+
+void Service::look() {
+  const std::int64_t now_ns = os::monotonic_ns();
+  const std::string fault = pipeline_.fault();
+  const RecorderStatus recorder = recorder_.status();
+  const std::array<OutputPulse, 2> outputs = {{{"encode", view_.heartbeat().age_ns(now_ns)},
+                                               {"record", recorder_.heartbeat().age_ns(now_ns)}}};
+  Observation seen;
+  seen.now_ns = now_ns;
+  seen.pipeline = pipeline_.health().snapshot(now_ns);
+  seen.fault = fault.c_str();
+  seen.outputs = outputs;
+  seen.recording = recorder.recording;
+  seen.output_fault = recorder.fault.c_str();
+  const Judgement& now = supervisor_.judge(seen);
+  if (now.changed) say(now);
+  const bool first_ready = now.ready && !ready_said_;
+  if (now.changed || first_ready || now_ns - last_line_ns_ >= kStatusLineNs) {
+    const std::string line = status_line(now, seen.pipeline.frames_per_second);
+    first_ready ? notify_.ready(line) : notify_.status(line);
+    ready_said_ = now.ready;
+    last_line_ns_ = now_ns;
+  }
+  ping(now, now_ns);
+  const std::lock_guard lock(mutex_);
+  status_ = {now, now_ns, notify_.listened(), notify_.watchdog_ns(), pings_};
+}
+
+void Service::ping(const Judgement& now, std::int64_t now_ns) {
+  const std::int64_t period = notify_.watchdog_ns() / 2;
+  if (period == 0 || !now.alive || now_ns - last_ping_ns_ < period) return;
+  notify_.ping();
+  last_ping_ns_ = now_ns;
+  ++pings_;
+}
+
+// Every change once, with its reason.
+void Service::say(const Judgement& now) {
+  if (gives_depth(now.state) && !announced_) announce_source();
+  std::printf("%s%s%s\n", to_string(now.state), now.reason[0] == 0 ? "" : ": ", now.reason);
+  std::fflush(stdout);
+}
+
+void Service::announce_source() {
+  announced_ = true;
+  const Pipeline::Source source = pipeline_.source();
+  const EngineStats stats = pipeline_.engine().stats;
+  std::printf("source  %s (%s)\n", source.info.uri.c_str(), source.info.description.c_str());
+  std::printf("model   %s, %dx%d, %d thread%s\n", stats.model_name.c_str(), stats.width,
+              stats.height, stats.threads, stats.threads == 1 ? "" : "s");
+}
+
+}  // namespace lcdm

@@ -1,0 +1,143 @@
+#include "firmware/health/supervisor.h"
+
+#include <algorithm>
+#include <cstdarg>
+#include <cstdio>
+
+namespace lcdm {
+namespace {
+
+// A source that gave a frame this recently gives frames: no depth then is our own fault.
+constexpr std::int64_t kFramesComeNs = 1'500'000'000;
+// The pipeline's threads live in this order, after main.
+constexpr std::array<const char*, 3> kVitalThreads = {"main", "capture", "infer"};
+
+double seconds(std::int64_t ns) { return static_cast<double>(ns) * 1e-9; }
+
+}  // namespace
+
+const char* to_string(DeviceState state) {
+  switch (state) {
+    case DeviceState::kBooting:
+      return "booting";
+    case DeviceState::kWaitingForCamera:
+      return "waiting for camera";
+    case DeviceState::kStreaming:
+      return "streaming";
+    case DeviceState::kRecording:
+      return "recording";
+    case DeviceState::kDegraded:
+      return "degraded";
+    case DeviceState::kFault:
+      return "fault";
+  }
+  return "unknown";
+}
+
+Supervisor::Finding::Finding(DeviceState found, const char* format, ...) : state(found) {
+  va_list arguments;
+  va_start(arguments, format);
+  std::vsnprintf(reason, sizeof(reason), format, arguments);
+  va_end(arguments);
+}
+
+const Judgement& Supervisor::judge(const Observation& seen) {
+  follow_progress(seen);
+  count_missed(seen);
+  const std::int64_t silence = seen.now_ns - last_progress_ns_;
+  judgement_.alive = late_vital(seen) == nullptr && silence <= options_.depth_deadline_ns;
+  judgement_.ready = judgement_.ready || waiting_ || seen.pipeline.inferred > 0;
+  const Finding now = find(seen);
+  const bool other_state = !begun_ || now.state != judgement_.state;
+  judgement_.changed = other_state || seen.effort != effort_;
+  judgement_.changes += begun_ && other_state ? 1 : 0;
+  judgement_.state = now.state;
+  std::copy(std::begin(now.reason), std::end(now.reason), std::begin(judgement_.reason));
+  effort_ = seen.effort;
+  begun_ = true;
+  return judgement_;
+}
+
+// Depth that comes is progress; so is every moment in which it cannot come, because the camera
+// gives nothing and the pipeline says so.
+void Supervisor::follow_progress(const Observation& seen) {
+  const HealthSnapshot& pipeline = seen.pipeline;
+  main_gap_ns_ = begun_ ? seen.now_ns - last_call_ns_ : 0;
+  last_call_ns_ = seen.now_ns;
+  if (pipeline.captured != captured_) last_frame_ns_ = seen.now_ns;
+  const bool frames_come = last_frame_ns_ >= 0 && seen.now_ns - last_frame_ns_ < kFramesComeNs;
+  const bool gives_nothing =
+      pipeline.state == PipelineState::kNoSignal || pipeline.state == PipelineState::kFinished;
+  waiting_ = gives_nothing && !frames_come;
+  if (!begun_ || waiting_ || pipeline.inferred != inferred_) last_progress_ns_ = seen.now_ns;
+  captured_ = pipeline.captured;
+  inferred_ = pipeline.inferred;
+}
+
+// Each miss once, however long it lasts.
+void Supervisor::count_missed(const Observation& seen) {
+  const std::array<std::int64_t, 3> vital = {main_gap_ns_, seen.pipeline.capture_heartbeat_age_ns,
+                                             seen.pipeline.infer_heartbeat_age_ns};
+  for (std::size_t i = 0; i < vital.size(); ++i) {
+    const bool late = vital[i] > options_.vital_deadline_ns;
+    judgement_.missed_vital += late && !vital_late_[i] ? 1 : 0;
+    vital_late_[i] = late;
+  }
+  LCDM_CHECK(seen.outputs.size() <= output_late_.size());
+  for (std::size_t i = 0; i < seen.outputs.size(); ++i) {
+    const bool late = seen.outputs[i].age_ns > options_.output_deadline_ns;
+    judgement_.missed_outputs += late && !output_late_[i] ? 1 : 0;
+    output_late_[i] = late;
+  }
+}
+
+const char* Supervisor::late_vital(const Observation&) const {
+  for (std::size_t i = 0; i < vital_late_.size(); ++i) {
+    if (vital_late_[i]) return kVitalThreads[i];
+  }
+  return nullptr;
+}
+
+const char* Supervisor::late_output(const Observation& seen) const {
+  for (std::size_t i = 0; i < seen.outputs.size(); ++i) {
+    if (output_late_[i]) return seen.outputs[i].thread;
+  }
+  return nullptr;
+}
+
+Supervisor::Finding Supervisor::find(const Observation& seen) const {
+  if (!judgement_.alive) return find_fault(seen);
+  switch (seen.pipeline.state) {
+    case PipelineState::kNoSignal:
+    case PipelineState::kFinished:
+      return {DeviceState::kWaitingForCamera, "%s", seen.fault};
+    case PipelineState::kStarting:
+    case PipelineState::kStopped:
+      return {DeviceState::kBooting, "%s", seen.fault};
+    case PipelineState::kStreaming:
+      break;
+  }
+  return find_loss(seen);
+}
+
+Supervisor::Finding Supervisor::find_fault(const Observation& seen) const {
+  if (const char* thread = late_vital(seen)) {
+    return {DeviceState::kFault, "thread %s gives no sign of life", thread};
+  }
+  return {DeviceState::kFault, "frames come, but no depth for %.0f s%s%s",
+          seconds(seen.now_ns - last_progress_ns_), seen.fault[0] == 0 ? "" : ": ", seen.fault};
+}
+
+// While depth comes: what else is lost.
+Supervisor::Finding Supervisor::find_loss(const Observation& seen) const {
+  if (const char* thread = late_output(seen)) {
+    return {DeviceState::kDegraded, "thread %s gives no sign of life: its output is lost", thread};
+  }
+  if (seen.output_fault[0] != 0) return {DeviceState::kDegraded, "%s", seen.output_fault};
+  if (seen.effort != Effort::kFull) {
+    return {DeviceState::kDegraded, "%s: %s", to_string(seen.effort), seen.effort_reason};
+  }
+  return {seen.recording ? DeviceState::kRecording : DeviceState::kStreaming, "%s", ""};
+}
+
+}  // namespace lcdm
