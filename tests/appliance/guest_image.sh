@@ -38,7 +38,8 @@ no_modules=(
   drivers/iio drivers/hid drivers/isdn drivers/staging drivers/mtd drivers/message fs/xfs fs/btrfs
   fs/ocfs2 fs/ceph fs/smb fs/nfs fs/f2fs fs/gfs2 fs/jfs fs/reiserfs sound
 )
-exclude=()
+# Nobody needs this disk after a crash while it is made.
+exclude=(--dpkgopt=force-unsafe-io)
 for name in "${no_documents[@]}"; do exclude+=(--dpkgopt="path-exclude=/usr/share/$name/*"); done
 for name in "${no_modules[@]}"; do
   exclude+=(--dpkgopt="path-exclude=/lib/modules/*/kernel/$name/*")
@@ -64,7 +65,7 @@ echo guest >"$root/etc/hostname"
 : >"$root/etc/machine-id"
 # Timers and services of a machine that lives for long, which only take time from the checks.
 for unit in apt-daily.timer apt-daily-upgrade.timer dpkg-db-backup.timer fstrim.timer \
-  e2scrub_all.timer e2scrub_reap.service systemd-timesyncd.service getty@tty1.service; do
+  systemd-networkd-wait-online.service e2scrub_all.timer e2scrub_reap.service systemd-timesyncd.service getty@tty1.service; do
   ln -sf /dev/null "$root/etc/systemd/system/$unit"
 done
 cp "$root"/boot/vmlinuz-* "$folder/vmlinuz"
