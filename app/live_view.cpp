@@ -14,13 +14,6 @@ constexpr int kJpegQuality = 85;
 constexpr std::size_t kJpegHead = 4096;
 constexpr int kNiceSteps = 5;
 
-// Bytes from a frame's first pixel to its last.
-std::size_t picture_bytes(const FrameView& view) {
-  return static_cast<std::size_t>(view.format.stride) *
-             static_cast<std::size_t>(view.format.height - 1) +
-         static_cast<std::size_t>(packed_stride(view.format.pixel, view.format.width));
-}
-
 std::size_t depth_values(const DepthFrame& frame) {
   return static_cast<std::size_t>(frame.camera.width) *
          static_cast<std::size_t>(frame.camera.height);
@@ -54,7 +47,7 @@ void LiveView::offer(const DepthFrame& frame) noexcept {
   if (!anybody) return;
   const std::unique_lock lock(mutex_, std::try_to_lock);
   if (!lock) return;
-  const std::size_t colour_bytes = picture_bytes(frame.pixels);
+  const std::size_t colour_bytes = picture_bytes(frame.pixels.format);
   const std::size_t depth_count = depth_values(frame);
   if (colour_bytes > incoming_.colour.size() || depth_count > incoming_.depth.size()) {
     needed_colour_ = colour_bytes;  // the encode thread makes room; the next frame fits
@@ -160,7 +153,7 @@ bool LiveView::encode_jpeg(Jpeg& jpeg, const FrameView& picture) {
     if (!jpeg.encoder.prepare(picture.format, kJpegQuality)) return false;
     jpeg.format = picture.format;
   }
-  encoded_.resize(picture_bytes(picture) * 2 + kJpegHead);  // enough for a JPEG of noise
+  encoded_.resize(picture_bytes(picture.format) * 2 + kJpegHead);  // enough for a JPEG of noise
   const Result<std::size_t> bytes = jpeg.encoder.encode(picture, encoded_);
   if (bytes) encoded_.resize(*bytes);
   return bytes.is_ok();

@@ -28,12 +28,15 @@ constexpr int kJpegQuality = 92;  // field data is for training: artefacts would
 constexpr std::uint16_t kImageChannel = 1;
 constexpr std::uint16_t kCalibrationChannel = 2;
 
+// Room for a JPEG: one larger than its pixels is not worth keeping; small ones have their tables.
+std::size_t jpeg_capacity(const FrameFormat& format) {
+  return static_cast<std::size_t>(format.width) * static_cast<std::size_t>(format.height) * 2 +
+         kJpegTables;
+}
+
 std::size_t frame_capacity(const FrameFormat& format) {
-  const auto width = static_cast<std::size_t>(format.width);
-  const auto height = static_cast<std::size_t>(format.height);
-  // An MJPEG frame larger than its pixels is not worth keeping; small ones have their tables.
-  return format.pixel == PixelFormat::kMjpeg ? width * height * 2 + kJpegTables
-                                             : static_cast<std::size_t>(format.stride) * height;
+  if (format.pixel == PixelFormat::kMjpeg) return jpeg_capacity(format);
+  return picture_bytes(format) + static_cast<std::size_t>(format.stride);  // with all its padding
 }
 
 // lcdm-20261121T113005.250Z.mcap: sorts by time, safe on every file system.
@@ -139,7 +142,7 @@ Status Recorder::prepare_slots(const FrameFormat& format) {
     slots_[i].pixels.assign(frame_capacity_, 0);
     LCDM_CHECK(free_.push(i));
   }
-  jpeg_.resize(frame_capacity_ + 4096);
+  jpeg_.resize(jpeg_capacity(format));
   message_.resize(jpeg_.size() + kMessageHead);
   if (format.pixel == PixelFormat::kMjpeg) return Status::ok();
   return encoder_.prepare(format, kJpegQuality);

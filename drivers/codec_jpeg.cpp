@@ -114,11 +114,6 @@ bool is_size(int width, int height) {
   return width > 0 && height > 0 && width <= kMaxSide && height <= kMaxSide;
 }
 
-std::size_t needed_bytes(const FrameFormat& format) {
-  return static_cast<std::size_t>(format.stride) * static_cast<std::size_t>(format.height - 1) +
-         static_cast<std::size_t>(packed_stride(format.pixel, format.width));
-}
-
 // Tables from BT.601 video range to the full range that JPEG (JFIF) uses.
 struct FullRange {
   std::array<std::uint8_t, 256> luma;
@@ -147,7 +142,7 @@ struct JpegEncoder::State {
   jpeg_destination_mgr destination{};
   FrameFormat format;
   int quality = 0;
-  // YUYV only: one row of blocks, its planes apart, padded to whole blocks.
+  // YUV only: one row of blocks, its planes apart, padded to whole blocks.
   static constexpr int kBandRows = 8;
   std::array<std::vector<JSAMPLE>, 3> planes;
   std::array<std::array<JSAMPROW, kBandRows>, 3> rows{};
@@ -171,7 +166,7 @@ struct JpegEncoder::State {
   State(const State&) = delete;
   State& operator=(const State&) = delete;
 
-  bool is_yuyv() const { return format.pixel == PixelFormat::kYuyv; }
+  bool has_yuv() const { return is_yuv(format.pixel); }
   void make_planes();
   void set_parameters();
   void split_band(int first_row);
@@ -193,41 +188,42 @@ void JpegEncoder::State::make_planes() {
 void JpegEncoder::State::set_parameters() {
   info.image_width = static_cast<JDIMENSION>(format.width);
   info.image_height = static_cast<JDIMENSION>(format.height);
-  info.input_components = 3;
-  info.in_color_space = is_yuyv()                             ? JCS_YCbCr
+  const bool grey = format.pixel == PixelFormat::kGrey;
+  info.input_components = grey ? 1 : 3;
+  info.in_color_space = has_yuv()                             ? JCS_YCbCr
+                        : grey                                ? JCS_GRAYSCALE
                         : format.pixel == PixelFormat::kBgr24 ? JCS_EXT_BGR
                                                               : JCS_EXT_RGB;
   jpeg_set_defaults(&info);
   jpeg_set_quality(&info, quality, TRUE);
-  if (is_yuyv()) {
+  if (has_yuv()) {
     info.raw_data_in = TRUE;
     info.comp_info[0].h_samp_factor = 2;
     info.comp_info[0].v_samp_factor = 1;
   }
 }
 
-// Takes 8 rows of YUYV apart; rows and columns past the picture repeat its last ones.
+// Takes 8 rows of YUV apart; rows and columns past the picture repeat its last ones.
 void JpegEncoder::State::split_band(int first_row) {
   static constexpr FullRange kFull;
   const int pairs = (format.width + 15) / 16 * 8;
   for (int row = 0; row < kBandRows; ++row) {
     const int y = std::min(first_row + row, format.height - 1);
-    const std::uint8_t* line = pixels + static_cast<std::ptrdiff_t>(y) * format.stride;
+    const YuvRow line = yuv_row({format, {}, pixels, 0}, y);
     const auto k = static_cast<std::size_t>(row);
     JSAMPLE* luma = rows[0][k];
     for (int pair = 0; pair < pairs; ++pair) {
-      const std::uint8_t* in =
-          line + static_cast<std::ptrdiff_t>(4) * std::min(pair, format.width / 2 - 1);
-      *luma++ = kFull.luma[in[0]];
-      *luma++ = kFull.luma[in[2]];
-      rows[1][k][pair] = kFull.chroma[in[1]];
-      rows[2][k][pair] = kFull.chroma[in[3]];
+      const std::ptrdiff_t in = std::min(pair, format.width / 2 - 1);
+      *luma++ = kFull.luma[line.luma[2 * in * line.luma_step]];
+      *luma++ = kFull.luma[line.luma[(2 * in + 1) * line.luma_step]];
+      rows[1][k][pair] = kFull.chroma[line.u[in * line.chroma_step]];
+      rows[2][k][pair] = kFull.chroma[line.v[in * line.chroma_step]];
     }
   }
 }
 
 void JpegEncoder::State::write_band(int first_row) {
-  if (is_yuyv()) {
+  if (has_yuv()) {
     split_band(first_row);
     std::array<JSAMPARRAY, 3> image{rows[0].data(), rows[1].data(), rows[2].data()};
     jpeg_write_raw_data(&info, image.data(), kBandRows);
@@ -263,9 +259,7 @@ JpegEncoder::JpegEncoder(JpegEncoder&&) noexcept = default;
 JpegEncoder& JpegEncoder::operator=(JpegEncoder&&) noexcept = default;
 
 Status JpegEncoder::prepare(const FrameFormat& format, int quality) {
-  if (!is_size(format.width, format.height) || format.pixel == PixelFormat::kMjpeg ||
-      format.stride < packed_stride(format.pixel, format.width) ||
-      (format.pixel == PixelFormat::kYuyv && format.width % 2 != 0) || quality < 1 ||
+  if (!is_size(format.width, format.height) || !is_picture(format) || quality < 1 ||
       quality > 100) {
     return Status::error(StatusCode::kInvalidInput, "jpeg: cannot encode %s %dx%d at quality %d",
                          to_string(format.pixel), format.width, format.height, quality);
@@ -274,14 +268,14 @@ Status JpegEncoder::prepare(const FrameFormat& format, int quality) {
   state_->format = format;
   state_->quality = quality;
   install_memory(state_->around, reinterpret_cast<j_common_ptr>(&state_->info), format.width);
-  if (state_->is_yuyv()) state_->make_planes();
+  if (state_->has_yuv()) state_->make_planes();
   state_->set_parameters();
   return Status::ok();
 }
 
 Result<std::size_t> JpegEncoder::encode(const FrameView& frame, std::span<std::byte> out) noexcept {
   if (state_ == nullptr || frame.format != state_->format || frame.data == nullptr ||
-      frame.bytes < needed_bytes(frame.format)) {
+      frame.bytes < picture_bytes(frame.format)) {
     return Status::error(StatusCode::kInvalidInput, "jpeg: not a frame as the encoder expects");
   }
   State& s = *state_;

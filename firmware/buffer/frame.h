@@ -8,10 +8,16 @@
 
 namespace lcdm {
 
+// YUV is BT.601 with limited range, a pair of neighbours sharing its U and V, so widths are even.
 enum class PixelFormat : std::uint8_t {
   kRgb24,
   kBgr24,
-  kYuyv,   // 4:2:2 packed, Y0 U Y1 V, BT.601 limited range
+  kYuyv,   // 4:2:2 packed, Y0 U Y1 V
+  kUyvy,   // 4:2:2 packed, U Y0 V Y1
+  kNv12,   // 4:2:0, rows of Y, then half as many rows of U V U V ..., all `stride` apart; even
+           // height
+  kNv21,   // as kNv12 with V U V U ...
+  kGrey,   // 8 bits, full range
   kMjpeg,  // one JPEG per frame; FrameView::bytes is its length, stride is 0
 };
 
@@ -26,8 +32,15 @@ struct FrameFormat {
   bool operator==(const FrameFormat&) const = default;
 };
 
-// Bytes per row without padding; 0 for kMjpeg.
+// Bytes per row without padding; of kNv12 and kNv21 both kinds of row. 0 for kMjpeg.
 int packed_stride(PixelFormat pixel, int width);
+
+// Whether a picture can look like this: sides positive, and even where chroma is shared; rows at
+// least as far apart as they are long. False for kMjpeg, whose pixels nobody knows yet.
+bool is_picture(const FrameFormat& format);
+
+// Bytes from a picture's first to its last, behind which the last row's padding may be missing.
+std::size_t picture_bytes(const FrameFormat& format);
 
 struct FrameMeta {
   std::uint64_t sequence = 0;  // counts up by 1; a gap means the source lost frames
@@ -42,5 +55,19 @@ struct FrameView {
   const std::uint8_t* data = nullptr;
   std::size_t bytes = 0;  // valid bytes at data
 };
+
+// Where a row of a YUV picture lies: the pair i has its luma at luma[2 * i * luma_step] and
+// luma[(2 * i + 1) * luma_step], its chroma at u[i * chroma_step] and v[i * chroma_step].
+struct YuvRow {
+  const std::uint8_t* luma = nullptr;
+  const std::uint8_t* u = nullptr;
+  const std::uint8_t* v = nullptr;
+  int luma_step = 0;    // bytes
+  int chroma_step = 0;  // bytes
+};
+
+bool is_yuv(PixelFormat pixel);
+// Row `y` of a picture that is_yuv.
+YuvRow yuv_row(const FrameView& frame, int y);
 
 }  // namespace lcdm

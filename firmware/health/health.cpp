@@ -22,10 +22,30 @@ const char* to_string(PipelineState state) {
       return "streaming";
     case PipelineState::kNoSignal:
       return "no signal";
+    case PipelineState::kNoCamera:
+      return "waiting for camera";
+    case PipelineState::kFault:
+      return "fault";
     case PipelineState::kFinished:
       return "finished";
     case PipelineState::kStopped:
       return "stopped";
+  }
+  return "unknown";
+}
+
+const char* to_string(RecoveryRung rung) {
+  switch (rung) {
+    case RecoveryRung::kRestartStream:
+      return "stream restart";
+    case RecoveryRung::kReopen:
+      return "reopening";
+    case RecoveryRung::kWaitForDevice:
+      return "wait for device";
+    case RecoveryRung::kResetPort:
+      return "port reset";
+    case RecoveryRung::kRestartProcess:
+      return "process restart";
   }
   return "unknown";
 }
@@ -43,6 +63,8 @@ void Health::note_reopened() {
   sequence_known_ = false;  // a source starts counting anew
   add(reopened_);
 }
+
+void Health::note_recovery(RecoveryRung rung) { add(recovery_[static_cast<std::size_t>(rung)]); }
 
 void Health::note_inferred(std::uint64_t sequence, std::int64_t sensor_ns,
                            std::int64_t inference_ns, std::int64_t done_ns) {
@@ -66,6 +88,8 @@ HealthSnapshot Health::snapshot(std::int64_t now_ns) const {
   out.failed = failed_.load(kRelaxed);
   out.timeouts = timeouts_.load(kRelaxed);
   out.reopened = reopened_.load(kRelaxed);
+  for (std::size_t i = 0; i < kRecoveryRungs; ++i) out.recovery[i] = recovery_[i].load(kRelaxed);
+  out.resets_skipped = resets_skipped_.load(kRelaxed);
   out.sequence_gaps = sequence_gaps_.load(kRelaxed);
   out.sequence = sequence_.load(kRelaxed);
   out.frame_age_ns = age(now_ns, sensor_ns_.load(kRelaxed));

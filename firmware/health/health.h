@@ -13,27 +13,43 @@ enum class PipelineState : std::uint8_t {
   kStarting,   // no depth yet, and the camera has not failed
   kStreaming,  // depth is coming
   kNoSignal,   // the camera gives nothing: a declared wait, the pipeline keeps trying
+  kNoCamera,   // no camera is there: a declared wait until it is plugged in
+  kFault,      // everything was tried in vain: the owner ends the process, to be started again
   kFinished,   // a finite source came to its end
   kStopped,    // stop() was called, or never started
 };
 
 const char* to_string(PipelineState state);
 
+// What is done about a camera that fails, from the least to the most.
+enum class RecoveryRung : std::uint8_t {
+  kRestartStream,   // stop and start, buffers and format as they are
+  kReopen,          // close, configure, start
+  kWaitForDevice,   // nothing to open: wait until the kernel reports a device, then reopen
+  kResetPort,       // close, reset the USB device as if it were replugged, reopen
+  kRestartProcess,  // give up: a new process finds what is wrong in this one cured
+};
+constexpr std::size_t kRecoveryRungs = 5;
+
+const char* to_string(RecoveryRung rung);
+
 // One reading. Times are nanoseconds of CLOCK_MONOTONIC, or durations; negative = not yet.
 struct HealthSnapshot {
   PipelineState state = PipelineState::kStopped;
-  std::uint64_t captured = 0;       // frames the camera gave
-  std::uint64_t inferred = 0;       // frames that became depth
-  std::uint64_t dropped = 0;        // frames a newer one replaced before they were used
-  std::uint64_t corrupt = 0;        // frames whose bytes were broken
-  std::uint64_t failed = 0;         // frames the engine refused
-  std::uint64_t timeouts = 0;       // waits for the camera that ended empty
-  std::uint64_t reopened = 0;       // times the camera was opened again after a fault
-  std::uint64_t sequence_gaps = 0;  // frames the source itself lost
-  std::uint64_t sequence = 0;       // of the newest depth
-  double frames_per_second = 0;     // of depth, over the last window
-  std::int64_t frame_age_ns = -1;   // since the newest depth's pixels left the sensor
-  std::int64_t latency_ns = -1;     // of the newest depth: from sensor to depth ready
+  std::uint64_t captured = 0;  // frames the camera gave
+  std::uint64_t inferred = 0;  // frames that became depth
+  std::uint64_t dropped = 0;   // frames a newer one replaced before they were used
+  std::uint64_t corrupt = 0;   // frames whose bytes were broken
+  std::uint64_t failed = 0;    // frames the engine refused
+  std::uint64_t timeouts = 0;  // waits for the camera that ended empty
+  std::uint64_t reopened = 0;  // times the camera was opened again after a fault
+  std::array<std::uint64_t, kRecoveryRungs> recovery{};  // times each RecoveryRung was stepped on
+  std::uint64_t resets_skipped = 0;  // port resets that were not possible: no port, no permission
+  std::uint64_t sequence_gaps = 0;   // frames the source itself lost
+  std::uint64_t sequence = 0;        // of the newest depth
+  double frames_per_second = 0;      // of depth, over the last window
+  std::int64_t frame_age_ns = -1;    // since the newest depth's pixels left the sensor
+  std::int64_t latency_ns = -1;      // of the newest depth: from sensor to depth ready
   std::int64_t inference_p50_ns = -1;
   std::int64_t inference_p99_ns = -1;
   std::int64_t capture_heartbeat_age_ns = -1;
@@ -51,6 +67,8 @@ class Health {
   void note_captured(std::uint64_t sequence);                                 // capture
   void note_timeout() { add(timeouts_); }                                     // capture
   void note_reopened();                                                       // capture
+  void note_recovery(RecoveryRung rung);                                      // capture
+  void note_reset_skipped() { add(resets_skipped_); }                         // capture
   void note_corrupt() { add(corrupt_); }                                      // capture, infer
   void note_failed() { add(failed_); }                                        // infer
   void note_inferred(std::uint64_t sequence, std::int64_t sensor_ns,          // infer
@@ -72,7 +90,8 @@ class Health {
 
   std::atomic<PipelineState> state_{PipelineState::kStopped};
   Counter captured_{0}, inferred_{0}, dropped_{0}, corrupt_{0}, failed_{0}, timeouts_{0};
-  Counter reopened_{0}, sequence_gaps_{0}, sequence_{0};
+  Counter reopened_{0}, resets_skipped_{0}, sequence_gaps_{0}, sequence_{0};
+  std::array<Counter, kRecoveryRungs> recovery_{};
   std::atomic<std::int64_t> sensor_ns_{-1}, latency_ns_{-1};
   std::atomic<std::int64_t> capture_beat_ns_{-1}, infer_beat_ns_{-1};
   std::array<std::atomic<std::int64_t>, kWindow> inference_ns_{};  // ring by frame number

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstdint>
 #include <string>
 
 #include "firmware/base/status.h"
@@ -10,18 +11,38 @@
 
 namespace lcdm {
 
+// How the picture is made, for cameras that can be told; what they cannot do they say in info().
+struct ImageControls {
+  double exposure_ms = 0;        // 0: automatic
+  double gain = -1;              // in the camera's own units; negative: automatic
+  int white_balance_kelvin = 0;  // 0: automatic
+  int power_line_hz = 0;         // 50 or 60, against flicker; 0: automatic where there is that
+};
+
 // What we would like; a camera takes the nearest it can do and says so in format() and info().
 struct CaptureRequest {
   int width = 640;
   int height = 480;
   float frames_per_second = 30;
   float assumed_field_of_view = 65;  // degrees, horizontal; for sources that know no intrinsics
+  ImageControls controls;
 };
+
+// The moment of a frame that its sensor_ns means.
+enum class StampSource : std::uint8_t {
+  kArrival,          // we took it: the source has no stamp of its own on our clock
+  kEndOfFrame,       // the kernel had received the whole frame
+  kStartOfExposure,  // the sensor began to expose, or nearest to it that the source knows
+};
+
+const char* to_string(StampSource stamp);
 
 struct CameraInfo {
   std::string uri;          // what reopens this source
   std::string description;  // one line for a person: name, format, rate
   float frames_per_second = 0;
+  StampSource stamp = StampSource::kArrival;
+  std::string usb{};  // the device node of the USB device it is, /dev/bus/usb/001/004; empty: none
 };
 
 // One dequeued buffer: `view` stays valid until requeue(index) or stop().
@@ -50,7 +71,9 @@ class Camera {
 
   virtual Status start() = 0;
   // Waits at most `timeout` for a frame. kTimeout: nothing yet. kCorrupt: one frame lost, go on.
-  // kDeviceGone, kIoError: stop, then configure again. kEndOfStream: a finite source is at its end.
+  // kUnavailable: the source changed its format; configure again. kDeviceGone: it left; configure
+  // again once it is back. kIoError: stop and start, or configure again. kEndOfStream: a finite
+  // source is at its end.
   virtual Result<CapturedFrame> dequeue(std::chrono::milliseconds timeout) = 0;
   // Gives a dequeued buffer back for reuse.
   virtual Status requeue(int index) = 0;

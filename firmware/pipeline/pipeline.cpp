@@ -21,11 +21,15 @@ namespace {
 
 using std::chrono::milliseconds;
 
-// Both bound how long stop() takes.
-constexpr milliseconds kDequeueTimeout{100};
+// These bound how long stop() takes.
+constexpr milliseconds kLongestDequeue{300};
 constexpr milliseconds kTakeTimeout{200};
-// After a broken frame, so that a source of nothing but broken frames does not spin.
-constexpr milliseconds kPauseAfterCorrupt{5};
+
+// How long three frames take: a camera that gives none for so long has lost some.
+milliseconds three_periods(float frames_per_second) {
+  if (frames_per_second <= 0) return milliseconds(100);
+  return milliseconds(static_cast<int>(std::clamp(3000 / frames_per_second, 30.0F, 30'000.0F)));
+}
 
 bool same_view(const CameraModel& a, const CameraModel& b) {
   return a.width == b.width && a.height == b.height && a.fx == b.fx && a.fy == b.fy &&
@@ -40,7 +44,8 @@ Pipeline::Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* deco
       make_engine_(std::move(make_engine)),
       decoder_(decoder),
       sinks_(std::move(sinks)),
-      options_(options) {}
+      options_(std::move(options)),
+      ladder_(options_.recovery, os::monotonic_ns()) {}
 
 Status Pipeline::start() {
   LCDM_CHECK(!infer_thread_.joinable());
@@ -48,15 +53,21 @@ Status Pipeline::start() {
   Status status = configure_camera();
   if (status) status = prepare_engine(source());
   if (status) status = camera_.start();
-  if (!status) {
+  const bool absent =
+      status.code() == StatusCode::kNotFound || status.code() == StatusCode::kDeviceGone;
+  if (!status && (!absent || options_.port == nullptr)) {
     camera_.stop();
     health_.set_state(PipelineState::kStopped);
     return status;
   }
+  if (absent) {
+    declare(status);
+    source_.info = {camera_.info().uri, "waiting for it"};
+  }
   stopping_ = false;
   prepared_generation_ = generation_;
   infer_thread_ = std::thread([this] { infer_loop(); });
-  capture_thread_ = std::thread([this] { capture_loop(); });
+  capture_thread_ = std::thread([this, status] { capture_loop(status); });
   return Status::ok();
 }
 
@@ -70,16 +81,17 @@ void Pipeline::stop() {
 
 // ---- capture thread -----------------------------------------------------------------------------
 
-void Pipeline::capture_loop() {
+void Pipeline::capture_loop(const Status& opened) {
   os::set_thread_name("capture");
   last_frame_ns_ = os::monotonic_ns();
-  bool more = true;
+  bool more = opened || recover(opened);
   while (more && !stopping_) {
     health_.beat_capture(os::monotonic_ns());
     give_back_returned();
-    const Result<CapturedFrame> captured = camera_.dequeue(kDequeueTimeout);
+    const auto captured = camera_.dequeue(std::min(three_periods_, kLongestDequeue));
     if (captured) {
       forward(*captured);
+      more = judge_depth();
     } else {
       more = survive(captured.status());
     }
@@ -103,59 +115,6 @@ void Pipeline::give_back_returned() {
   }
 }
 
-// What no frame means. False: the source has ended, for good.
-bool Pipeline::survive(const Status& status) {
-  switch (status.code()) {
-    case StatusCode::kTimeout:
-      health_.note_timeout();
-      judge_silence(status);
-      return true;
-    case StatusCode::kCorrupt:
-      health_.note_corrupt();
-      judge_silence(status);
-      std::this_thread::sleep_for(kPauseAfterCorrupt);
-      return true;
-    case StatusCode::kEndOfStream:
-      wait_until_nothing_is_lent();
-      health_.set_state(PipelineState::kFinished);
-      return false;
-    default:
-      recover(status);
-      return true;
-  }
-}
-
-// Declares the wait for the camera, and reopens it when it lasts.
-void Pipeline::judge_silence(const Status& status) {
-  const auto silence = std::chrono::nanoseconds(os::monotonic_ns() - last_frame_ns_);
-  if (silence < options_.no_signal_after) return;
-  health_.set_state(PipelineState::kNoSignal);
-  set_fault(status.text());
-  if (silence >= options_.reopen_after) recover(status);
-}
-
-// Closes the camera and opens it again, waiting ever longer between attempts, until it is back or
-// the pipeline stops. The outputs stay up meanwhile and say `no signal`.
-void Pipeline::recover(const Status& fault) {
-  alloc_watch::unseal_thread();
-  close_camera();
-  health_.set_state(PipelineState::kNoSignal);
-  set_fault(fault.text());
-  milliseconds backoff = options_.first_backoff;
-  while (wait_unless_stopping(backoff)) {
-    Status status = configure_camera();
-    if (status) status = camera_.start();
-    if (status) {
-      health_.note_reopened();
-      break;
-    }
-    camera_.stop();
-    set_fault(status.text());
-    backoff = std::min(backoff * 2, options_.last_backoff);
-  }
-  last_frame_ns_ = os::monotonic_ns();
-}
-
 void Pipeline::close_camera() {
   mailbox_.clear();
   wait_until_nothing_is_lent();
@@ -164,21 +123,11 @@ void Pipeline::close_camera() {
 
 // Ends within one inference: the infer thread never holds a frame longer.
 void Pipeline::wait_until_nothing_is_lent() {
-  while (pool_->count(FramePool::State::kLent) > 0) {
+  while (pool_ && pool_->count(FramePool::State::kLent) > 0) {
     if (stopping_) mailbox_.clear();  // infer may have ended and take it no more
     health_.beat_capture(os::monotonic_ns());
     std::this_thread::sleep_for(milliseconds(2));
   }
-}
-
-// False as soon as the pipeline stops.
-bool Pipeline::wait_unless_stopping(milliseconds time) {
-  const std::int64_t end = os::monotonic_ns() + std::chrono::nanoseconds(time).count();
-  while (!stopping_ && os::monotonic_ns() < end) {
-    health_.beat_capture(os::monotonic_ns());
-    std::this_thread::sleep_for(std::min(time, milliseconds(20)));
-  }
-  return !stopping_;
 }
 
 // Opens the camera and makes a new generation of buffers. Nothing may be lent.
@@ -186,8 +135,10 @@ Status Pipeline::configure_camera() {
   LCDM_RETURN_IF_ERROR(camera_.configure(options_.request));
   pool_.emplace(camera_.buffer_count());
   ++generation_;
+  const CameraInfo info = camera_.info();
+  three_periods_ = three_periods(info.frames_per_second);
   const std::lock_guard lock(mutex_);
-  source_ = {camera_.info(), camera_.format(), camera_.model()};
+  source_ = {info, camera_.format(), camera_.model()};
   return Status::ok();
 }
 
@@ -214,6 +165,7 @@ void Pipeline::note_fault(const Status& status) {
   if (silence < options_.no_signal_after) return;
   health_.set_state(PipelineState::kNoSignal);
   set_fault(status.text());
+  only_corrupt_ = status.code() == StatusCode::kCorrupt && silence >= options_.recover_after;
 }
 
 // The camera was opened again: when it looks different now, the engine is made anew for it.

@@ -17,8 +17,10 @@
 #include "firmware/health/health.h"
 #include "firmware/nn/engine.h"
 #include "firmware/pipeline/camera.h"
+#include "firmware/pipeline/camera_port.h"
 #include "firmware/pipeline/depth_sink.h"
 #include "firmware/pipeline/frame_decoder.h"
+#include "firmware/pipeline/recovery_ladder.h"
 
 namespace lcdm {
 
@@ -27,12 +29,14 @@ struct PipelineOptions {
   // False for sources whose library allocates per frame (files, recordings): the capture thread
   // then stays outside the promise not to allocate.
   bool seal_capture = true;
-  // How long without a frame until the state says `no signal`, and until the source is reopened.
+  // How long without a frame until the state says `no signal`, and until something is done about
+  // it. Never less than three of the camera's frame periods.
   std::chrono::milliseconds no_signal_after{1500};
-  std::chrono::milliseconds reopen_after{4000};
-  // The wait before a reopening that failed is tried again: doubles from first to last.
-  std::chrono::milliseconds first_backoff{100};
-  std::chrono::milliseconds last_backoff{2000};
+  std::chrono::milliseconds recover_after{2500};
+  RecoveryOptions recovery;
+  // Where the camera is plugged in; borrowed. Null: it is nothing that comes and goes, and one that
+  // is missing is an error of start.
+  CameraPort* port = nullptr;
 };
 
 // Threads: the owner's thread calls the constructor, start and stop. `capture` is the only caller
@@ -67,7 +71,9 @@ class Pipeline {
   Pipeline(const Pipeline&) = delete;
   Pipeline& operator=(const Pipeline&) = delete;
 
-  // Opens the camera, prepares everything, starts the threads. On error nothing runs. Once only.
+  // Opens the camera, prepares everything, starts the threads. A camera that is not plugged in is
+  // waited for: the state is then kNoCamera, and the engine is prepared when it arrives. On error
+  // nothing runs. Once only.
   Status start();
   // Ends and joins both threads: after the frame in work, and within one dequeue time-out. Again
   // is harmless.
@@ -86,16 +92,23 @@ class Pipeline {
   };
 
   // Capture thread (and start, before it exists).
-  void capture_loop();
+  void capture_loop(const Status& opened);
   void forward(const CapturedFrame& captured);
   void give_back_returned();
-  bool survive(const Status& status);
-  void judge_silence(const Status& status);
-  void recover(const Status& fault);
   void close_camera();
   void wait_until_nothing_is_lent();
-  bool wait_unless_stopping(std::chrono::milliseconds time);
   Status configure_camera();
+
+  // Capture thread: what no frame means, and the way back to frames (pipeline_recovery.cpp). False:
+  // the capture thread's work is over.
+  bool survive(const Status& status);
+  bool judge_silence(const Status& status);
+  bool judge_depth();
+  bool recover(Status fault);
+  bool wait_before(const RecoveryStep& step);
+  Status climb(RecoveryRung rung);
+  void reset_port();
+  void declare(const Status& fault);
 
   // Infer thread (and start, before it exists).
   void infer_loop();
@@ -117,12 +130,17 @@ class Pipeline {
   Health health_;
   Mailbox<Captured> mailbox_;
   std::optional<FramePool> pool_;   // capture thread; replaced only while nothing is lent
+  RecoveryLadder ladder_;           // capture thread
   std::uint64_t generation_ = 0;    // capture thread; counts openings
   std::int64_t last_frame_ns_ = 0;  // capture thread
+  std::int64_t seen_depth_ns_ = 0;  // capture thread; the depth that the ladder knows
+  std::chrono::milliseconds three_periods_{100};  // capture thread; of the camera's frames
 
-  std::unique_ptr<Engine> engine_;          // infer thread; null: none for this source
-  Status engine_status_;                    // infer thread; why there is none
-  std::int64_t last_depth_ns_ = 0;          // infer thread
+  std::unique_ptr<Engine> engine_;              // infer thread; null: none for this source
+  Status engine_status_;                        // infer thread; why there is none
+  std::atomic<std::int64_t> last_depth_ns_{0};  // written by the infer thread
+  std::atomic<bool> only_corrupt_{
+      false};  // set by infer, taken by capture: no frame can be decoded
   std::vector<std::uint16_t> millimetres_;  // infer thread; [height * width] of depth
   FrameFormat prepared_format_;             // infer thread; the camera's, before decoding
   CameraModel prepared_model_;              // infer thread

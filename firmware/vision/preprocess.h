@@ -1,23 +1,15 @@
 // Camera pixels to the network's input: colour conversion, resize and normalisation in one pass.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
 #include "firmware/base/status.h"
 #include "firmware/buffer/frame.h"
+#include "firmware/vision/axis_table.h"
 
 namespace lcdm {
-
-// How one axis is resampled: output i is the sum over t of weights[i * taps + t] times input
-// first[i] + t. Area average when shrinking, bilinear otherwise (OpenCV's INTER_AREA and
-// INTER_LINEAR, pixel centres at half integers).
-struct AxisTable {
-  int taps = 0;
-  std::vector<int> first;
-  std::vector<float> weights;
-};
-AxisTable make_axis_table(int in_size, int out_size);
 
 // Tables and scratch for one camera format and one network size. run_rows may be called by
 // several workers at once, each with its own index.
@@ -34,17 +26,28 @@ class Preprocess {
   Status check(const FrameView& frame) const noexcept;
 
   // Writes rows [begin, end) of the network's input, (rgb / 255 - 0.45) / 0.225 as
-  // [height, width, 3], from a frame that passed check().
+  // [height, width, 3], from a frame that passed check(). The same values whoever computes a row.
   void run_rows(const FrameView& frame, int worker, int begin, int end, float* out) noexcept;
 
  private:
+  // One worker's own: camera rows as RGB, of which neighbouring output rows share some, and the
+  // row they are blended into.
+  struct Scratch {
+    std::vector<std::uint8_t> rgb;          // [rows_.taps, width * 3]; none where bytes are RGB
+    std::vector<int> held;                  // the camera row in each slot of `rgb`; -1: none
+    std::vector<const std::uint8_t*> taps;  // [rows_.taps]
+    std::vector<float> weights;             // [rows_.taps]
+    std::vector<float> blended;             // [width * 3 + 1]
+  };
+
   Preprocess() = default;
+  const std::uint8_t* camera_row(const FrameView& frame, int y, Scratch& scratch) const noexcept;
 
   FrameFormat format_;
   int width_ = 0;
   AxisTable columns_;
   AxisTable rows_;
-  std::vector<float> scratch_;  // a blended camera row, [format_.width * 3], per worker
+  std::vector<Scratch> scratch_;  // per worker
 };
 
 }  // namespace lcdm

@@ -98,6 +98,47 @@ TEST_P(JpegSizes, YuyvIsWidenedToTheFullRangeOfJpeg) {
   EXPECT_GT(cv::PSNR(expected, opencv_decoded(encoded(view_of(yuyv, PixelFormat::kYuyv), 95))), 36);
 }
 
+// One picture with a chroma of its own for every pair of rows, in each way to write it down.
+TEST(JpegEncoder, TakesEveryKindOfYuvAlike) {
+  constexpr int kWidth = 38;
+  constexpr int kHeight = 22;
+  cv::Mat yuyv(kHeight, kWidth, CV_8UC2);
+  cv::Mat uyvy(kHeight, kWidth, CV_8UC2);
+  cv::Mat nv12(kHeight * 3 / 2, kWidth, CV_8UC1);
+  cv::Mat nv21(kHeight * 3 / 2, kWidth, CV_8UC1);
+  for (int y = 0; y < kHeight; ++y) {
+    for (int x = 0; x < kWidth; ++x) {
+      const auto luma = static_cast<uchar>(16 + 3 * x + 2 * y);
+      const auto chroma = static_cast<uchar>(x % 2 == 0 ? 100 + x + y / 2 : 150 - x + y / 2);
+      yuyv.at<cv::Vec2b>(y, x) = {luma, chroma};
+      uyvy.at<cv::Vec2b>(y, x) = {chroma, luma};
+      nv12.at<uchar>(y, x) = nv21.at<uchar>(y, x) = luma;
+      nv12.at<uchar>(kHeight + y / 2, x) = chroma;
+      nv21.at<uchar>(kHeight + y / 2, x ^ 1) = chroma;
+    }
+  }
+  const auto planes = [](const cv::Mat& picture, PixelFormat format) {
+    FrameView view = view_of(picture, format);
+    view.format.height = kHeight;
+    return view;
+  };
+  const auto expected = encoded(view_of(yuyv, PixelFormat::kYuyv));
+  EXPECT_EQ(encoded(view_of(uyvy, PixelFormat::kUyvy)), expected);
+  EXPECT_EQ(encoded(planes(nv12, PixelFormat::kNv12)), expected);
+  EXPECT_EQ(encoded(planes(nv21, PixelFormat::kNv21)), expected);
+}
+
+TEST(JpegEncoder, WritesGreyAsGrey) {
+  cv::Mat grey;
+  cv::cvtColor(test_picture(130, 70), grey, cv::COLOR_RGB2GRAY);
+  const auto jpeg = encoded(view_of(grey, PixelFormat::kGrey), 95);
+  const cv::Mat bytes(1, static_cast<int>(jpeg.size()), CV_8UC1,
+                      const_cast<std::byte*>(jpeg.data()));
+  const cv::Mat decoded = cv::imdecode(bytes, cv::IMREAD_UNCHANGED);
+  ASSERT_EQ(decoded.type(), CV_8UC1);
+  EXPECT_GT(cv::PSNR(grey, decoded), 36);
+}
+
 TEST_P(JpegSizes, WhatOpenCvWritesDecodesToWhatOpenCvReads) {
   const auto [width, height] = GetParam();
   const cv::Mat rgb = test_picture(width, height);

@@ -4,10 +4,13 @@
 #include <cmath>
 #include <gtest/gtest.h>
 #include <limits>
+#include <memory>
 #include <opencv2/imgproc.hpp>
 #include <random>
 
 #include "firmware/vision/depth_to_millimetres.h"
+#include "firmware/vision/rgb_row.h"
+#include "tests/firmware/isa.h"
 
 namespace lcdm {
 namespace {
@@ -84,27 +87,108 @@ TEST(Preprocess, AreaOfBothAxesAtOnceIsOpenCvsInterArea) {
   EXPECT_LT(largest_difference(input, expected), 2e-4);
 }
 
-TEST(Preprocess, BgrIsRgbInAnotherOrder) {
-  const cv::Mat rgb = make_picture(80, 50, 3);
-  cv::Mat bgr;
-  cv::cvtColor(rgb, bgr, cv::COLOR_RGB2BGR);
-  EXPECT_EQ(largest_difference(preprocessed(view_of(rgb, PixelFormat::kRgb24), 64, 32),
-                               preprocessed(view_of(bgr, PixelFormat::kBgr24), 64, 32)),
-            0);
+// How OpenCV names a pixel format.
+struct Peer {
+  PixelFormat pixel;
+  int type;  // of the picture as a matrix
+  int code;  // of cvtColor to RGB
+};
+constexpr Peer kPeers[] = {
+    {PixelFormat::kBgr24, CV_8UC3, cv::COLOR_BGR2RGB},
+    {PixelFormat::kYuyv, CV_8UC2, cv::COLOR_YUV2RGB_YUYV},
+    {PixelFormat::kUyvy, CV_8UC2, cv::COLOR_YUV2RGB_UYVY},
+    {PixelFormat::kNv12, CV_8UC1, cv::COLOR_YUV2RGB_NV12},
+    {PixelFormat::kNv21, CV_8UC1, cv::COLOR_YUV2RGB_NV21},
+    {PixelFormat::kGrey, CV_8UC1, cv::COLOR_GRAY2RGB},
+};
+
+// A frame that ends where its memory ends, so that a sanitizer sees a byte read too many, and what
+// OpenCV makes of it.
+struct PeerFrame {
+  std::unique_ptr<std::uint8_t[]> bytes;
+  FrameView view;
+  cv::Mat rgb;
+
+  PeerFrame(const Peer& peer, int width, int height, int padding, bool extreme) {
+    const int stride = packed_stride(peer.pixel, width) + padding;
+    view.format = {peer.pixel, width, height, stride};
+    view.bytes = picture_bytes(view.format);
+    bytes = std::make_unique<std::uint8_t[]>(view.bytes);
+    view.data = bytes.get();
+    std::mt19937 random(static_cast<unsigned>(width * height));
+    for (std::size_t i = 0; i < view.bytes; ++i) {
+      bytes[i] = static_cast<std::uint8_t>(extreme ? random() : 60 + i % 90 + random() % 40);
+    }
+    const bool planes = peer.pixel == PixelFormat::kNv12 || peer.pixel == PixelFormat::kNv21;
+    const int rows = planes ? height + height / 2 : height;
+    std::vector<std::uint8_t> whole(static_cast<std::size_t>(rows) * stride);
+    std::copy_n(bytes.get(), view.bytes, whole.begin());
+    const cv::Mat picture(rows, width, peer.type, whole.data(), static_cast<std::size_t>(stride));
+    cv::cvtColor(picture, rgb, peer.code);
+  }
+};
+
+// Both round to bytes, OpenCV with coefficients of fewer digits.
+TEST(RgbRow, IsOpenCvsColourForEveryFormatWidthAndInstructionSet) {
+  test::for_each_isa([] {
+    for (const Peer& peer : kPeers) {
+      for (const int width : {2, 14, 64, 66, 94, 162}) {
+        const PeerFrame frame(peer, width, 6, width % 7, true);
+        cv::Mat rgb(6, width, CV_8UC3);
+        for (int y = 0; y < 6; ++y) rgb_row(frame.view, y, rgb.ptr(y));
+        ASSERT_LE(largest_difference(rgb, frame.rgb), is_yuv(peer.pixel) ? 1 : 0)
+            << to_string(peer.pixel) << " " << width;
+      }
+    }
+  });
 }
 
-TEST(Preprocess, YuyvIsBt601WithLimitedRange) {
-  // Luma below 16 is not colour: OpenCV clamps it before the conversion, we after it.
-  const cv::Mat yuyv = cv::max(make_picture(96, 64, 2), 16);
-  cv::Mat rgb;
-  cv::cvtColor(yuyv, rgb, cv::COLOR_YUV2RGB_YUYV);
-  // OpenCV rounds to bytes in between: up to one step of 1/255.
-  EXPECT_LT(largest_difference(preprocessed(view_of(yuyv, PixelFormat::kYuyv), 96, 64),
-                               expected_input(rgb, 96, 64)),
-            1.01 / 255 / 0.225);
-  EXPECT_LT(largest_difference(preprocessed(view_of(yuyv, PixelFormat::kYuyv), 64, 32),
-                               expected_input(rgb, 64, 32)),
-            1.01 / 255 / 0.225);
+TEST(RgbRow, IsTheSameOnEveryInstructionSet) {
+  for (const Peer& peer : kPeers) {
+    const PeerFrame frame(peer, 158, 2, 0, true);
+    std::vector<std::uint8_t> first;
+    test::for_each_isa([&] {
+      std::vector<std::uint8_t> rgb(158 * 3);
+      rgb_row(frame.view, 1, rgb.data());
+      if (first.empty()) first = rgb;
+      ASSERT_EQ(rgb, first) << to_string(peer.pixel);
+    });
+  }
+}
+
+TEST(Preprocess, TakesEveryFormatAsOpenCvDoes) {
+  test::for_each_isa([] {
+    for (const Peer& peer : kPeers) {
+      for (const auto& [width, height] :
+           {std::pair(96, 64), std::pair(150, 82), std::pair(34, 10)}) {
+        for (const int padding : {0, 10}) {
+          const PeerFrame frame(peer, width, height, padding, false);
+          ASSERT_LT(largest_difference(preprocessed(frame.view, 64, 32),
+                                       expected_input(frame.rgb, 64, 32)),
+                    is_yuv(peer.pixel) ? 1.01 / 255 / 0.225 : 2e-4)
+              << to_string(peer.pixel) << " " << width << "x" << height << " + " << padding;
+        }
+      }
+    }
+  });
+}
+
+TEST(Preprocess, RefusesWhatCannotBeAPicture) {
+  for (const FrameFormat& format :
+       {FrameFormat{PixelFormat::kYuyv, 3, 2, 6}, FrameFormat{PixelFormat::kUyvy, 3, 2, 6},
+        FrameFormat{PixelFormat::kNv12, 4, 3, 4}, FrameFormat{PixelFormat::kNv21, 3, 2, 4},
+        FrameFormat{PixelFormat::kGrey, 4, 4, 3}, FrameFormat{PixelFormat::kGrey, 0, 4, 4},
+        FrameFormat{PixelFormat::kGrey, 4, 9000, 4}}) {
+    EXPECT_EQ(Preprocess::prepare(format, 64, 32, 1).code(), StatusCode::kInvalidInput)
+        << to_string(format.pixel);
+  }
+  const PeerFrame frame(kPeers[3], 64, 32, 0, false);
+  auto preprocess = Preprocess::prepare(frame.view.format, 64, 32, 1);
+  ASSERT_TRUE(preprocess);
+  FrameView cut = frame.view;
+  EXPECT_TRUE(preprocess->check(cut));
+  cut.bytes -= 1;
+  EXPECT_EQ(preprocess->check(cut).code(), StatusCode::kInvalidInput) << "its chroma ends early";
 }
 
 TEST(Preprocess, RespectsTheStride) {
@@ -116,9 +200,23 @@ TEST(Preprocess, RespectsTheStride) {
 }
 
 TEST(Preprocess, WorkersShareTheRowsWithoutATrace) {
-  const cv::Mat picture = make_picture(100, 90, 3);
-  const FrameView view = view_of(picture, PixelFormat::kRgb24);
-  EXPECT_EQ(largest_difference(preprocessed(view, 64, 64, 1), preprocessed(view, 64, 64, 3)), 0);
+  for (const Peer& peer : kPeers) {
+    const PeerFrame frame(peer, 100, 90, 0, true);
+    EXPECT_EQ(largest_difference(preprocessed(frame.view, 64, 64, 1),
+                                 preprocessed(frame.view, 64, 64, 3)),
+              0)
+        << to_string(peer.pixel);
+  }
+}
+
+TEST(Preprocess, KeepsNothingOfThePreviousFrame) {
+  const PeerFrame first(kPeers[1], 100, 90, 0, true);
+  const PeerFrame second(kPeers[1], 100, 90, 0, false);
+  auto preprocess = Preprocess::prepare(first.view.format, 64, 64, 1);
+  cv::Mat out(64, 64, CV_32FC3);
+  preprocess->run_rows(first.view, 0, 0, 64, out.ptr<float>());
+  preprocess->run_rows(second.view, 0, 0, 64, out.ptr<float>());
+  EXPECT_EQ(largest_difference(out, preprocessed(second.view, 64, 64)), 0);
 }
 
 TEST(AxisTable, WeightsOfEveryOutputAddUpToOneWithinTheInput) {

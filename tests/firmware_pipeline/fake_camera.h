@@ -27,6 +27,9 @@ class FakeCamera final : public Camera {
     return FrameFormat{PixelFormat::kRgb24, 64, 48, 64 * 3};
   };
 
+  float frames_per_second = 500;  // what it says of itself
+  std::string usb;
+
   std::atomic<int> configured{0};  // calls so far
   std::atomic<int> started{0};
   std::atomic<int> stopped{0};
@@ -46,7 +49,9 @@ class FakeCamera final : public Camera {
   CameraModel model() const override {
     return CameraModel::from_field_of_view(format_.width, format_.height, 65);
   }
-  CameraInfo info() const override { return {"fake:", "a fake", 500}; }
+  CameraInfo info() const override {
+    return {"fake:", "a fake", frames_per_second, StampSource::kArrival, usb};
+  }
   int buffer_count() const override { return kBuffers; }
 
   Status start() override {

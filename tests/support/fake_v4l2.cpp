@@ -1,12 +1,17 @@
 #include "tests/support/fake_v4l2.h"
 
+#include <algorithm>
 #include <cerrno>
+#include <cstddef>
 #include <cstdlib>
 #include <cstring>
 #include <ctime>
 #include <deque>
 #include <fcntl.h>
+#include <linux/usbdevice_fs.h>
+#include <map>
 #include <mutex>
+#include <poll.h>
 #include <string>
 #include <umockdev.h>
 #include <unistd.h>
@@ -19,14 +24,32 @@ namespace {
 
 constexpr std::uint32_t kPage = 4096;
 
+bool is_multi_planar(const FakeV4l2::Behaviour& behaviour) {
+  return (behaviour.capabilities & V4L2_CAP_VIDEO_CAPTURE_MPLANE) != 0;
+}
+
 std::uint32_t stride_of(const FakeV4l2::Behaviour& behaviour) {
-  const std::uint32_t packed = behaviour.fourcc == V4L2_PIX_FMT_YUYV ? behaviour.width * 2 : 0;
-  return packed + behaviour.row_padding;
+  switch (behaviour.fourcc) {
+    case V4L2_PIX_FMT_MJPEG:
+      return 0;
+    case V4L2_PIX_FMT_NV12:
+    case V4L2_PIX_FMT_NV21:
+    case V4L2_PIX_FMT_GREY:
+      return behaviour.width + behaviour.row_padding;
+    case V4L2_PIX_FMT_RGB24:
+    case V4L2_PIX_FMT_BGR24:
+      return behaviour.width * 3 + behaviour.row_padding;
+    default:
+      return behaviour.width * 2 + behaviour.row_padding;
+  }
 }
 
 std::uint32_t image_bytes(const FakeV4l2::Behaviour& behaviour) {
   const std::uint32_t stride = stride_of(behaviour);
-  return stride == 0 ? behaviour.width * behaviour.height : stride * behaviour.height;
+  const bool chroma_rows =
+      behaviour.fourcc == V4L2_PIX_FMT_NV12 || behaviour.fourcc == V4L2_PIX_FMT_NV21;
+  if (stride == 0) return behaviour.width * behaviour.height;
+  return stride * behaviour.height * (chroma_rows ? 3 : 2) / 2;
 }
 
 std::uint32_t buffer_stride(const FakeV4l2::Behaviour& behaviour) {
@@ -43,12 +66,18 @@ struct FakeV4l2::State {
   std::uint32_t granted = 0;
   std::uint32_t sequence = 0;
   int requests = 0;
+  std::map<std::uint32_t, int> controls;
+  bool event_pending = false;
+  int usb_resets = 0;
   int backing = -1;
   UMockdevTestbed* testbed = nullptr;
   UMockdevIoctlBase* handler = nullptr;
 
-  int handle(unsigned request, void* argument);
-  int dequeue(v4l2_buffer& buffer);
+  // `planes` is what a multi-planar v4l2_buffer points to, else null.
+  int handle(unsigned request, void* argument, v4l2_plane* planes);
+  int handle_mode(unsigned request, void* argument);
+  int set_format(v4l2_format& format) const;
+  int dequeue(v4l2_buffer& buffer, v4l2_plane* planes);
 };
 
 namespace {
@@ -58,23 +87,61 @@ FakeV4l2::State* g_state = nullptr;
 
 std::size_t argument_size(unsigned long request) { return (request >> 16) & 0x3FFF; }
 
+bool is_buffer_request(gulong request) {
+  return request == VIDIOC_QUERYBUF || request == VIDIOC_QBUF || request == VIDIOC_DQBUF;
+}
+
 gboolean on_ioctl(UMockdevIoctlBase* /*base*/, UMockdevIoctlClient* client) {
   const gulong request = umockdev_ioctl_client_get_request(client);
+  if (request == USBDEVFS_RESET) {
+    const std::lock_guard lock(g_state->mutex);
+    ++g_state->usb_resets;
+    umockdev_ioctl_client_complete(client, 0, 0);
+    return TRUE;
+  }
   UMockdevIoctlData* pointer = umockdev_ioctl_client_get_arg(client);
   UMockdevIoctlData* data =
       umockdev_ioctl_data_resolve(pointer, 0, argument_size(request), nullptr);
+  UMockdevIoctlData* planes = nullptr;
+  if (data != nullptr && is_buffer_request(request) && is_multi_planar(g_state->behaviour)) {
+    planes = umockdev_ioctl_data_resolve(data, offsetof(v4l2_buffer, m.planes), sizeof(v4l2_plane),
+                                         nullptr);
+  }
   const int fault =
-      data == nullptr ? EFAULT : g_state->handle(static_cast<unsigned>(request), data->data);
+      data == nullptr
+          ? EFAULT
+          : g_state->handle(
+                static_cast<unsigned>(request), data->data,
+                planes == nullptr ? nullptr : reinterpret_cast<v4l2_plane*>(planes->data));
+  if (planes != nullptr) umockdev_ioctl_data_unref(planes);
   if (data != nullptr) umockdev_ioctl_data_unref(data);
   umockdev_ioctl_client_complete(client, fault == 0 ? 0 : -1, fault);
   return TRUE;
 }
 
-std::string node_description() {
+constexpr const char* kUsbDevice = "/devices/fake/usb1/1-1";
+
+std::string video_path(bool on_usb) {
+  return (on_usb ? std::string(kUsbDevice) + "/1-1:1.0" : std::string("/devices/fake")) +
+         "/video4linux/video0";
+}
+
+std::string device_description(bool on_usb) {
+  std::string text;
+  if (on_usb) {
+    text = "P: " + std::string(kUsbDevice) +
+           "\nN: bus/usb/001/004\nE: SUBSYSTEM=usb\nE: DEVTYPE=usb_device\n"
+           "E: DEVNAME=/dev/bus/usb/001/004\nE: MAJOR=189\nE: MINOR=3\n"
+           "A: busnum=1\\n\nA: devnum=4\\n\nA: serial=F00D\\n\nA: speed=480\\n\n"
+           "A: version= 3.20\\n\n\nP: " +
+           std::string(kUsbDevice) + "/1-1:1.0\nE: SUBSYSTEM=usb\nE: DEVTYPE=usb_interface\n\n";
+  }
   // Contents (N: with bytes) make the node a file, so that mmap on it works.
-  return "P: /devices/fake/video4linux/video0\nN: video0=" + std::string(32, '0') +
-         "\nE: SUBSYSTEM=video4linux\nE: DEVNAME=/dev/video0\nE: MAJOR=81\nE: MINOR=0\n"
-         "A: name=fake\n\n";
+  text += "P: " + video_path(on_usb) + "\nN: video0=" + std::string(32, '0') +
+          "\nE: SUBSYSTEM=video4linux\nE: DEVNAME=/dev/video0\nE: MAJOR=81\nE: MINOR=0\n"
+          "A: name=fake\n";
+  if (on_usb) text += "L: device=../../../1-1:1.0\n";
+  return text + "\n";
 }
 
 }  // namespace
@@ -91,7 +158,8 @@ FakeV4l2::FakeV4l2(const Behaviour& behaviour) : state_(std::make_unique<State>(
   state_->sequence = behaviour.first_sequence;
   state_->testbed = umockdev_testbed_new();
   GError* error = nullptr;
-  LCDM_CHECK(umockdev_testbed_add_from_string(state_->testbed, node_description().c_str(), &error));
+  LCDM_CHECK(umockdev_testbed_add_from_string(
+      state_->testbed, device_description(behaviour.on_usb).c_str(), &error));
   char* root = umockdev_testbed_get_root_dir(state_->testbed);
   const std::string file = std::string(root) + kPath;
   g_free(root);
@@ -101,6 +169,8 @@ FakeV4l2::FakeV4l2(const Behaviour& behaviour) : state_(std::make_unique<State>(
   state_->handler = UMOCKDEV_IOCTL_BASE(g_object_new(umockdev_ioctl_base_get_type(), nullptr));
   g_signal_connect(state_->handler, "handle-ioctl", G_CALLBACK(on_ioctl), nullptr);
   LCDM_CHECK(umockdev_testbed_attach_ioctl(state_->testbed, kPath, state_->handler, &error));
+  if (!behaviour.on_usb) return;
+  LCDM_CHECK(umockdev_testbed_attach_ioctl(state_->testbed, kUsbPath, state_->handler, &error));
 }
 
 FakeV4l2::~FakeV4l2() {
@@ -121,13 +191,35 @@ int FakeV4l2::buffers_with_driver() const {
   return static_cast<int>(state_->queued.size());
 }
 
-int FakeV4l2::State::handle(unsigned request, void* argument) {
-  const std::lock_guard lock(mutex);
+std::optional<int> FakeV4l2::control(std::uint32_t id) const {
+  const std::lock_guard lock(state_->mutex);
+  const auto found = state_->controls.find(id);
+  return found == state_->controls.end() ? std::nullopt : std::optional(found->second);
+}
+
+void FakeV4l2::change_source() {
+  const std::lock_guard lock(state_->mutex);
+  state_->event_pending = true;
+}
+
+void FakeV4l2::announce(const char* action) {
+  const std::string path = "/sys" + video_path(state_->behaviour.on_usb);
+  umockdev_testbed_uevent(state_->testbed, path.c_str(), action);
+}
+
+int FakeV4l2::usb_resets() const {
+  const std::lock_guard lock(state_->mutex);
+  return state_->usb_resets;
+}
+
+// What the driver offers and how it is set.
+int FakeV4l2::State::handle_mode(unsigned request, void* argument) {
   switch (request) {
     case VIDIOC_QUERYCAP: {
       auto& capability = *static_cast<v4l2_capability*>(argument);
       capability = {};
       std::strcpy(reinterpret_cast<char*>(capability.card), "fake camera");
+      std::strcpy(reinterpret_cast<char*>(capability.driver), "fake");
       capability.capabilities = behaviour.capabilities | V4L2_CAP_DEVICE_CAPS;
       capability.device_caps = behaviour.capabilities;
       return 0;
@@ -138,20 +230,69 @@ int FakeV4l2::State::handle(unsigned request, void* argument) {
       format.pixelformat = behaviour.fourcc;
       return 0;
     }
-    case VIDIOC_S_FMT: {
-      auto& pix = static_cast<v4l2_format*>(argument)->fmt.pix;
-      pix.pixelformat = behaviour.fourcc;
-      pix.width = behaviour.width;
-      pix.height = behaviour.height;
-      pix.bytesperline = stride_of(behaviour);
-      pix.sizeimage = image_bytes(behaviour);
+    case VIDIOC_ENUM_FRAMESIZES: {
+      auto& size = *static_cast<v4l2_frmsizeenum*>(argument);
+      if (size.index >= behaviour.sizes.size()) return EINVAL;
+      size.type = V4L2_FRMSIZE_TYPE_DISCRETE;
+      size.discrete = {behaviour.sizes[size.index].width, behaviour.sizes[size.index].height};
       return 0;
     }
+    case VIDIOC_ENUM_FRAMEINTERVALS: {
+      auto& interval = *static_cast<v4l2_frmivalenum*>(argument);
+      if (interval.index != 0) return EINVAL;
+      for (const Size& size : behaviour.sizes) {
+        if (size.width != interval.width || size.height != interval.height) continue;
+        interval.type = V4L2_FRMIVAL_TYPE_DISCRETE;
+        interval.discrete = {1, size.frames_per_second};
+        return 0;
+      }
+      return EINVAL;
+    }
+    case VIDIOC_S_FMT:
+      return set_format(*static_cast<v4l2_format*>(argument));
     case VIDIOC_S_PARM: {
       auto& period = static_cast<v4l2_streamparm*>(argument)->parm.capture.timeperframe;
-      period = {1, 25};
+      period = {1, behaviour.rate};
       return 0;
     }
+    case VIDIOC_S_CTRL: {
+      const auto& control = *static_cast<const v4l2_control*>(argument);
+      const auto& known = behaviour.controls;
+      if (std::find(known.begin(), known.end(), control.id) == known.end()) return EINVAL;
+      controls[control.id] = control.value;
+      return 0;
+    }
+    default:
+      return ENOTTY;
+  }
+}
+
+int FakeV4l2::State::set_format(v4l2_format& format) const {
+  if (is_multi_planar(behaviour) != (format.type == V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE)) {
+    return EINVAL;
+  }
+  if (is_multi_planar(behaviour)) {
+    v4l2_pix_format_mplane& pix = format.fmt.pix_mp;
+    pix.pixelformat = behaviour.fourcc;
+    pix.width = behaviour.width;
+    pix.height = behaviour.height;
+    pix.num_planes = static_cast<std::uint8_t>(behaviour.planes);
+    pix.plane_fmt[0].bytesperline = stride_of(behaviour);
+    pix.plane_fmt[0].sizeimage = image_bytes(behaviour);
+    return 0;
+  }
+  v4l2_pix_format& pix = format.fmt.pix;
+  pix.pixelformat = behaviour.fourcc;
+  pix.width = behaviour.width;
+  pix.height = behaviour.height;
+  pix.bytesperline = stride_of(behaviour);
+  pix.sizeimage = image_bytes(behaviour);
+  return 0;
+}
+
+int FakeV4l2::State::handle(unsigned request, void* argument, v4l2_plane* planes) {
+  const std::lock_guard lock(mutex);
+  switch (request) {
     case VIDIOC_REQBUFS: {
       auto& buffers = *static_cast<v4l2_requestbuffers*>(argument);
       granted = buffers.count = std::min(buffers.count, behaviour.most_buffers);
@@ -161,8 +302,15 @@ int FakeV4l2::State::handle(unsigned request, void* argument) {
     }
     case VIDIOC_QUERYBUF: {
       auto& buffer = *static_cast<v4l2_buffer*>(argument);
+      const std::uint32_t offset = buffer.index * buffer_stride(behaviour);
+      buffer.flags = behaviour.stamp_flags;
+      if (planes != nullptr) {
+        planes->length = image_bytes(behaviour);
+        planes->m.mem_offset = offset;
+        return 0;
+      }
       buffer.length = image_bytes(behaviour);
-      buffer.m.offset = buffer.index * buffer_stride(behaviour);
+      buffer.m.offset = offset;
       return 0;
     }
     case VIDIOC_QBUF: {
@@ -172,18 +320,25 @@ int FakeV4l2::State::handle(unsigned request, void* argument) {
       return 0;
     }
     case VIDIOC_DQBUF:
-      return dequeue(*static_cast<v4l2_buffer*>(argument));
+      return dequeue(*static_cast<v4l2_buffer*>(argument), planes);
+    case VIDIOC_SUBSCRIBE_EVENT:
+      return 0;
+    case VIDIOC_DQEVENT:
+      if (!event_pending) return ENOENT;
+      event_pending = false;
+      static_cast<v4l2_event*>(argument)->type = V4L2_EVENT_SOURCE_CHANGE;
+      return 0;
     case VIDIOC_STREAMON:
       return 0;
     case VIDIOC_STREAMOFF:
       queued.clear();
       return 0;
     default:
-      return ENOTTY;
+      return handle_mode(request, argument);
   }
 }
 
-int FakeV4l2::State::dequeue(v4l2_buffer& buffer) {
+int FakeV4l2::State::dequeue(v4l2_buffer& buffer, v4l2_plane* planes) {
   const Answer answer = behaviour.answer(requests++);
   if (answer == Answer::kIoError) return EIO;
   if (answer == Answer::kGone) return ENODEV;
@@ -194,11 +349,13 @@ int FakeV4l2::State::dequeue(v4l2_buffer& buffer) {
   const std::vector<char> picture(image_bytes(behaviour), static_cast<char>(sequence & 0xFF));
   const auto offset = static_cast<off_t>(buffer.index) * buffer_stride(behaviour);
   if (pwrite(backing, picture.data(), picture.size(), offset) < 0) return EIO;
-  buffer.bytesused = image_bytes(behaviour);
-  if (answer == Answer::kShortFrame) buffer.bytesused = 0;
-  if (answer == Answer::kHugeFrame) buffer.bytesused = 0x7FFFFFFF;
+  std::uint32_t bytes = image_bytes(behaviour);
+  if (answer == Answer::kShortFrame) bytes = 0;
+  if (answer == Answer::kHugeFrame) bytes = 0x7FFFFFFF;
+  (planes != nullptr ? planes->bytesused : buffer.bytesused) = bytes;
+  if (planes != nullptr) planes->data_offset = 0;
   if (answer == Answer::kWildIndex) buffer.index = 1000;
-  buffer.flags = V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
+  buffer.flags = behaviour.stamp_flags;
   if (answer == Answer::kErrorFlag) buffer.flags |= V4L2_BUF_FLAG_ERROR;
   buffer.sequence = sequence++;
   timespec now{};
@@ -207,4 +364,19 @@ int FakeV4l2::State::dequeue(v4l2_buffer& buffer) {
   return 0;
 }
 
+bool event_is_pending() {
+  if (g_state == nullptr) return false;
+  const std::lock_guard lock(g_state->mutex);
+  return g_state->event_pending;
+}
+
 }  // namespace lcdm::test
+
+// umockdev knows no events: the test program is linked so that its poll() comes here (--wrap=poll).
+extern "C" int __real_poll(pollfd* descriptors, nfds_t count, int timeout);
+extern "C" int __wrap_poll(pollfd* descriptors, nfds_t count, int timeout) {
+  const bool asked = count == 1 && (descriptors[0].events & POLLPRI) != 0;
+  if (!asked || !lcdm::test::event_is_pending()) return __real_poll(descriptors, count, timeout);
+  descriptors[0].revents = POLLPRI;
+  return 1;
+}

@@ -6,6 +6,8 @@
 #include <functional>
 #include <linux/videodev2.h>
 #include <memory>
+#include <optional>
+#include <vector>
 
 namespace lcdm::test {
 
@@ -25,8 +27,20 @@ class FakeV4l2 {
     kHugeFrame,   // bytesused beyond the buffer
     kWildIndex,   // a buffer that does not exist
   };
+  // A size that the driver lists for its format, at one rate.
+  struct Size {
+    std::uint32_t width = 0;
+    std::uint32_t height = 0;
+    std::uint32_t frames_per_second = 0;
+  };
   struct Behaviour {
     std::uint32_t fourcc = V4L2_PIX_FMT_YUYV;
+    std::vector<Size> sizes;   // empty: the driver lists none
+    std::uint32_t planes = 1;  // of memory, that a multi-planar driver uses
+    std::uint32_t rate = 25;   // that it makes of every rate asked for
+    std::uint32_t stamp_flags = V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC | V4L2_BUF_FLAG_TSTAMP_SRC_EOF;
+    std::vector<std::uint32_t> controls;  // that the camera has
+    bool on_usb = false;  // as /dev/bus/usb/001/004, serial number F00D, USB 3.2 camera at 480 Mb/s
     std::uint32_t width = 64;
     std::uint32_t height = 48;
     std::uint32_t row_padding = 0;  // bytes behind each row
@@ -48,6 +62,15 @@ class FakeV4l2 {
   // From now on behaves differently; the node stays.
   void set_behaviour(const Behaviour& behaviour);
   int buffers_with_driver() const;
+  // The value a control was last set to; empty: never.
+  std::optional<int> control(std::uint32_t id) const;
+  // The signal at the camera's input changes: an event is pending.
+  void change_source();
+  // The kernel's news about the device: "add" or "remove". The node stays.
+  void announce(const char* action);
+  int usb_resets() const;
+
+  static constexpr const char* kUsbPath = "/dev/bus/usb/001/004";
 
   struct State;  // defined in the .cpp: the fake driver's side
 

@@ -1,0 +1,73 @@
+// The kernel's queue of capture buffers: format, rate, mapping, queueing; single- and multi-planar
+// behind one face.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "drivers/v4l2_device.h"
+#include "drivers/v4l2_formats.h"
+#include "firmware/buffer/frame.h"
+#include "firmware/pipeline/camera.h"
+
+namespace lcdm {
+
+// A buffer that the driver has filled. Checked: the index is one of ours, the bytes lie inside it.
+struct V4l2Filled {
+  int index = -1;
+  const std::uint8_t* data = nullptr;
+  std::size_t bytes = 0;
+  std::uint32_t flags = 0;     // V4L2_BUF_FLAG_...
+  std::uint32_t sequence = 0;  // the driver's count, 32 bits
+  std::int64_t stamp_ns = 0;   // on the clock that the flags name
+};
+
+// Borrows the device, which must stay open while buffers are mapped. Threads: as Camera.
+class V4l2Queue {
+ public:
+  explicit V4l2Queue(const V4l2Device& device) : device_(device) {}
+  ~V4l2Queue() { unmap(); }
+  V4l2Queue(const V4l2Queue&) = delete;
+  V4l2Queue& operator=(const V4l2Queue&) = delete;
+
+  // Asks for a mode and gives what the driver made of it, if that makes sense.
+  Result<FrameFormat> set_format(const V4l2Choice& choice);
+  // Frames/s that the driver says it will keep; 0: it does not say.
+  float set_rate(float frames_per_second) const;
+  // Reserves and maps the buffers.
+  Status map();
+  void unmap();
+
+  int size() const { return static_cast<int>(buffers_.size()); }
+  StampSource stamp() const { return stamp_; }
+
+  // Gives every buffer to the driver and starts it. `stop` takes all back, also after a start that
+  // failed.
+  Status start();
+  void stop();
+
+  Status enqueue(int index);
+  // 0, or the errno: EAGAIN when there is none. EBADMSG: what the driver answered makes no sense.
+  int dequeue(V4l2Filled& filled) const;
+
+ private:
+  struct Mapping {
+    void* memory = nullptr;
+    std::size_t length = 0;
+  };
+  // The driver's view of one buffer; `plane` is used by multi-planar drivers.
+  struct Slot {
+    v4l2_buffer buffer{};
+    v4l2_plane plane{};
+  };
+
+  void prepare(Slot& slot, std::uint32_t index) const;
+  Status map_one(std::uint32_t index);
+
+  const V4l2Device& device_;
+  std::vector<Mapping> buffers_;
+  StampSource stamp_ = StampSource::kArrival;
+};
+
+}  // namespace lcdm

@@ -1,0 +1,47 @@
+#include "firmware/pipeline/recovery_ladder.h"
+
+#include <algorithm>
+
+namespace lcdm {
+namespace {
+
+using std::chrono::milliseconds;
+using std::chrono::nanoseconds;
+
+}  // namespace
+
+void RecoveryLadder::note_depth(std::int64_t now_ns) {
+  last_depth_ns_ = now_ns;
+  if (depth_since_ns_ < 0) depth_since_ns_ = now_ns;
+}
+
+RecoveryStep RecoveryLadder::next(StatusCode fault, std::int64_t now_ns) {
+  const bool steady = depth_since_ns_ >= 0 &&
+                      nanoseconds(last_depth_ns_ - depth_since_ns_) >= options_.steady_after;
+  if (steady) steps_ = waits_ = 0;
+  depth_since_ns_ = -1;
+
+  if (fault == StatusCode::kNotFound || fault == StatusCode::kDeviceGone) {
+    last_depth_ns_ = now_ns;       // its absence is nothing that a new process would cure
+    steps_ = std::max(steps_, 1);  // nothing is open whose stream could be restarted
+    return {RecoveryRung::kWaitForDevice, backoff()};
+  }
+  if (nanoseconds(now_ns - last_depth_ns_) >= options_.give_up_after) {
+    return {RecoveryRung::kRestartProcess, milliseconds(0)};
+  }
+  const milliseconds wait = backoff();
+  const int step = steps_++;
+  // A source that changed its format: what is mapped is of no use.
+  if (step == 0 && fault != StatusCode::kUnavailable) return {RecoveryRung::kRestartStream, wait};
+  const bool reset = step > 0 && step % (options_.reopenings + 1) == 0;
+  return {reset ? RecoveryRung::kResetPort : RecoveryRung::kReopen, wait};
+}
+
+milliseconds RecoveryLadder::backoff() {
+  constexpr int kMostDoublings = 16;
+  const milliseconds wait = options_.first_backoff * (1 << std::min(waits_, kMostDoublings));
+  ++waits_;
+  return std::min(wait, options_.last_backoff);
+}
+
+}  // namespace lcdm

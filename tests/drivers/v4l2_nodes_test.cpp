@@ -1,0 +1,89 @@
+// Which nodes there are and which of them a text means, in a system that does not exist.
+#include "drivers/v4l2_nodes.h"
+
+#include <gtest/gtest.h>
+#include <string>
+
+#include "drivers/v4l2_camera.h"
+#include "tests/support/fake_v4l2.h"
+
+namespace lcdm {
+namespace {
+
+using test::FakeV4l2;
+
+class V4l2NodesTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    if (!test::umockdev_active()) GTEST_SKIP() << "run under umockdev-wrapper";
+    on_usb_.on_usb = true;
+  }
+
+  FakeV4l2::Behaviour on_usb_;
+};
+
+TEST_F(V4l2NodesTest, SkipsNodesThatCaptureNothingAndSaysWhy) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.capabilities = V4L2_CAP_META_CAPTURE | V4L2_CAP_STREAMING;
+  const FakeV4l2 device(behaviour);
+  const auto nodes = list_v4l2_nodes();
+  ASSERT_EQ(nodes.size(), 1U);
+  EXPECT_EQ(nodes[0].path, FakeV4l2::kPath);
+  EXPECT_FALSE(nodes[0].usable);
+  EXPECT_NE(nodes[0].reason.find("captures no"), std::string::npos) << nodes[0].reason;
+}
+
+TEST_F(V4l2NodesTest, NamesTheFormatsOfANodeThatHasNoneForUs) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.fourcc = V4L2_PIX_FMT_SRGGB10;
+  const FakeV4l2 device(behaviour);
+  const auto nodes = list_v4l2_nodes();
+  ASSERT_EQ(nodes.size(), 1U);
+  EXPECT_FALSE(nodes[0].usable);
+  EXPECT_NE(nodes[0].reason.find("offers RG10"), std::string::npos) << nodes[0].reason;
+}
+
+TEST_F(V4l2NodesTest, ListsAUsableNodeWithItsName) {
+  const FakeV4l2 device({});
+  const auto nodes = list_v4l2_nodes();
+  ASSERT_EQ(nodes.size(), 1U);
+  EXPECT_TRUE(nodes[0].usable) << nodes[0].reason;
+  EXPECT_EQ(nodes[0].card, "fake camera");
+  EXPECT_EQ(nodes[0].driver, "fake");
+  EXPECT_EQ(nodes[0].usb, "") << "it is not on USB";
+}
+
+TEST_F(V4l2NodesTest, KnowsTheUsbDeviceBehindANode) {
+  const FakeV4l2 device(on_usb_);
+  const auto nodes = list_v4l2_nodes();
+  ASSERT_EQ(nodes.size(), 1U);
+  EXPECT_EQ(nodes[0].serial, "F00D");
+  EXPECT_EQ(nodes[0].usb, FakeV4l2::kUsbPath);
+  EXPECT_FLOAT_EQ(nodes[0].usb_mbps, 480);
+  EXPECT_FLOAT_EQ(nodes[0].usb_version, 3.2F);
+}
+
+TEST_F(V4l2NodesTest, ACameraIsFoundByItsSerialOrItsName) {
+  const FakeV4l2 device(on_usb_);
+  for (const char* selector : {"serial=F00D", "name=fake camera", "/dev/video0"}) {
+    const auto node = find_v4l2_node(selector);
+    ASSERT_TRUE(node) << node.status().text();
+    EXPECT_EQ(*node, "/dev/video0");
+    V4l2Camera camera(selector);
+    ASSERT_TRUE(camera.configure({})) << selector;
+    EXPECT_EQ(camera.info().uri, std::string("v4l2:") + selector) << "it stays what it was";
+    EXPECT_EQ(camera.info().usb, FakeV4l2::kUsbPath);
+  }
+}
+
+TEST_F(V4l2NodesTest, ACameraThatIsNotThereIsNotFound) {
+  const FakeV4l2 device(on_usb_);
+  for (const char* selector : {"serial=BEEF", "name=fake", "serial="}) {
+    const auto node = find_v4l2_node(selector);
+    EXPECT_EQ(node.code(), StatusCode::kNotFound) << selector;
+    EXPECT_EQ(V4l2Camera(selector).configure({}).code(), StatusCode::kNotFound) << selector;
+  }
+}
+
+}  // namespace
+}  // namespace lcdm
