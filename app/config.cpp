@@ -24,11 +24,23 @@ const char* source_objection(const std::string& text) {
   return "is no source: use auto, scene:, file:PATH, mcap:PATH or v4l2:/dev/...";
 }
 
-const char* address_objection(const std::string& text) {
+bool is_address(const std::string& text) {
   in6_addr address{};  // the larger of both
-  if (inet_pton(AF_INET, text.c_str(), &address) == 1) return nullptr;
-  if (inet_pton(AF_INET6, text.c_str(), &address) == 1) return nullptr;
-  return "is no numeric address: use 127.0.0.1 (this machine only), 0.0.0.0 or :: (everybody)";
+  return inet_pton(AF_INET, text.c_str(), &address) == 1 ||
+         inet_pton(AF_INET6, text.c_str(), &address) == 1;
+}
+
+const char* addresses_objection(const std::string& text) {
+  const std::vector<std::string> addresses = listen_addresses(text);
+  if (!addresses.empty() && std::all_of(addresses.begin(), addresses.end(), is_address)) {
+    return nullptr;
+  }
+  return "is no numeric address: use 127.0.0.1 (this machine only), 0.0.0.0 or :: (everybody), or "
+         "several with commas between";
+}
+
+const char* line_objection(const std::string& text) {
+  return text == "!" ? "names no line: write its name behind the !, or nothing at all" : nullptr;
 }
 
 const char* directory_objection(const std::string& text) {
@@ -56,6 +68,13 @@ Status assign(const ConfigField& field, const std::string& place, const std::str
     if (objection != nullptr)
       return fault(place, name_of(field) + " = \"" + text + "\" " + objection);
     **string = text;
+    return Status::ok();
+  }
+  if (auto* const* flag = std::get_if<bool*>(&field.place)) {
+    if (text != "true" && text != "false") {
+      return fault(place, name_of(field) + " = " + text + " is not allowed: use true or false");
+    }
+    **flag = text == "true";
     return Status::ok();
   }
   double number = 0;
@@ -114,11 +133,20 @@ std::optional<std::string> text_of(const ConfigField& field, const toml::value& 
   const bool wants_string = std::holds_alternative<std::string*>(field.place);
   if (wants_string && value.is_string()) return value.as_string().str;
   if (wants_string) return std::nullopt;
+  const bool wants_flag = std::holds_alternative<bool*>(field.place);
+  if (wants_flag != value.is_boolean()) return std::nullopt;
+  if (wants_flag) return value.as_boolean() ? "true" : "false";
   if (value.is_integer()) return std::to_string(value.as_integer());
   if (!value.is_floating()) return std::nullopt;
   char text[64];
   std::snprintf(text, sizeof(text), "%.17g", value.as_floating());
   return text;
+}
+
+const char* kind_of(const ConfigField& field) {
+  if (std::holds_alternative<std::string*>(field.place)) return "a text in quotes";
+  if (std::holds_alternative<bool*>(field.place)) return "true or false";
+  return "a number without quotes";
 }
 
 Status read_section(const std::vector<ConfigField>& fields, const std::string& file,
@@ -136,10 +164,7 @@ Status read_section(const std::vector<ConfigField>& fields, const std::string& f
     if (!field) return field.status();
     const std::optional<std::string> text = text_of(**field, value);
     if (!text) {
-      return fault(place, name_of(**field) + " must be " +
-                              (std::holds_alternative<std::string*>((*field)->place)
-                                   ? "a text in quotes"
-                                   : "a number without quotes"));
+      return fault(place, name_of(**field) + " must be " + kind_of(**field));
     }
     LCDM_RETURN_IF_ERROR(assign(**field, place, *text));
   }
@@ -249,6 +274,9 @@ Status check_whole(const Config& config) {
     return fault("model.width, model.height",
                  "give both as multiples of 32 from 64, or both as 0 to follow the camera's shape");
   }
+  if (config.http.port == 0 && listen_addresses(config.http.listen).size() > 1) {
+    return fault("http.port", "0 takes a free port of one address; http.listen names several");
+  }
   return Status::ok();
 }
 
@@ -279,13 +307,29 @@ std::vector<ConfigField> config_fields(Config& c) {
       {"model", "width", &c.model.width, 0, 2048},
       {"model", "height", &c.model.height, 0, 2048},
       {"model", "threads", &c.model.threads, 0, 64},
-      {"http", "listen", &c.http.listen, 0, 0, &address_objection},
+      {"http", "listen", &c.http.listen, 0, 0, &addresses_objection},
       {"http", "port", &c.http.port, 0, 65535},
       {"http", "max_clients", &c.http.max_clients, 1, 64},
+      {"http", "token_file", &c.http.token_file},
+      {"http", "insecure", &c.http.insecure},
       {"record", "directory", &c.record.directory, 0, 0, directory_objection},
       {"record", "segment_megabytes", &c.record.segment_megabytes, 1, 65536},
       {"record", "keep_free_megabytes", &c.record.keep_free_megabytes, 0, 1e6},
+      {"service", "least_rate", &c.service.least_rate, 0, 1000},
+      {"gpio", "light", &c.gpio.light, 0, 0, &line_objection},
+      {"gpio", "button", &c.gpio.button, 0, 0, &line_objection},
+      {"gpio", "heartbeat", &c.gpio.heartbeat, 0, 0, &line_objection},
   };
+}
+
+std::vector<std::string> listen_addresses(const std::string& listen) {
+  std::vector<std::string> addresses;
+  std::istringstream stream(listen);
+  for (std::string each; std::getline(stream, each, ',');) {
+    each.erase(std::remove(each.begin(), each.end(), ' '), each.end());
+    addresses.push_back(each);
+  }
+  return addresses;
 }
 
 Result<Config> load_config(const ConfigSources& sources) {

@@ -29,12 +29,22 @@ struct Config {
     std::string listen = "127.0.0.1";
     int port = 8080;
     int max_clients = 8;
+    std::string token_file;
+    bool insecure = false;
   } http;
   struct Record {
     std::string directory = "recordings";
     int segment_megabytes = 256;
     int keep_free_megabytes = 512;
   } record;
+  struct Service {
+    double least_rate = 0;
+  } service;
+  struct Gpio {
+    std::string light;
+    std::string button;
+    std::string heartbeat;
+  } gpio;
 
   bool operator==(const Config&) const;
 };
@@ -43,12 +53,15 @@ struct Config {
 struct ConfigField {
   const char* section;
   const char* key;
-  std::variant<std::string*, int*, double*> place;
+  std::variant<std::string*, int*, double*, bool*> place;
   double min = 0;  // numbers only, inclusive
   double max = 0;
   // Strings only: what is wrong with a value and how to mend it, or null when it is fine.
   const char* (*objection)(const std::string&) = nullptr;
 };
+
+// The addresses of http.listen, which lists them with commas between.
+std::vector<std::string> listen_addresses(const std::string& listen);
 
 // Every key of `config`, in the order of the file.
 std::vector<ConfigField> config_fields(Config& config);

@@ -4,6 +4,8 @@
 #include <arpa/inet.h>
 #include <cctype>
 
+#include "app/http_token.h"
+
 namespace lcdm {
 namespace {
 
@@ -51,10 +53,26 @@ bool is_ours(std::string_view host, std::string_view machine_name) {
   return !machine.empty() && (name == machine || name == machine + ".local");
 }
 
+// As the server writes addresses: IPv4 on an IPv6 socket is mapped.
+bool is_loopback(std::string_view address) {
+  constexpr std::string_view kMapped = "::ffff:";
+  if (address.substr(0, kMapped.size()) == kMapped) address.remove_prefix(kMapped.size());
+  return address == "::1" || (address.substr(0, 4) == "127." && is_numeric(std::string(address)));
+}
+
+Verdict judge_control(const RequestFacts& facts, const ControlRule& control) {
+  if (control.everybody || is_loopback(facts.client)) return {};
+  if (control.token.empty()) {
+    return {403, "control from the network is off: set http.token_file, or http.insecure = true"};
+  }
+  if (carries_token(facts.authorization, control.token)) return {};
+  return {401, "control from the network needs the token, as Authorization: Bearer TOKEN"};
+}
+
 }  // namespace
 
 Verdict judge_request(const RequestFacts& facts, std::string_view allowed_method,
-                      std::string_view machine_name) {
+                      std::string_view machine_name, const ControlRule& control) {
   if (facts.host.empty()) return {400, "the request has no Host header"};
   if (!is_ours(facts.host, machine_name)) {
     return {421, "this machine is not known by that name: use its address"};
@@ -63,9 +81,11 @@ Verdict judge_request(const RequestFacts& facts, std::string_view allowed_method
   if (!(facts.method == allowed_method || (reads && allowed_method == "GET"))) {
     return {405, "this address takes another method"};
   }
-  if (reads || facts.origin.empty()) return {};
-  if (lower(facts.origin) == "http://" + lower(facts.host)) return {};
-  return {403, "requests from other sites are refused"};
+  if (reads) return {};
+  if (!facts.origin.empty() && lower(facts.origin) != "http://" + lower(facts.host)) {
+    return {403, "requests from other sites are refused"};
+  }
+  return judge_control(facts, control);
 }
 
 }  // namespace lcdm

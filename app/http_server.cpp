@@ -1,6 +1,7 @@
 #include "app/http_server.h"
 
 #include <algorithm>
+#include <arpa/inet.h>
 #include <cerrno>
 #include <chrono>
 #include <civetweb.h>
@@ -42,6 +43,8 @@ const char* reason_of(int status) {
       return "OK";
     case 400:
       return "Bad Request";
+    case 401:
+      return "Unauthorized";
     case 403:
       return "Forbidden";
     case 404:
@@ -64,6 +67,32 @@ std::string_view header(const mg_connection* connection, const char* name) {
 
 std::string bracketed(const std::string& address) {
   return address.find(':') == std::string::npos ? address : "[" + address + "]";
+}
+
+// Whether this machine has the address at this moment: others cannot be bound.
+bool has_address(const std::string& address) {
+  const bool is_v6 = address.find(':') != std::string::npos;
+  const int descriptor = socket(is_v6 ? AF_INET6 : AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+  sockaddr_in v4{};
+  v4.sin_family = AF_INET;
+  sockaddr_in6 v6{};
+  v6.sin6_family = AF_INET6;
+  inet_pton(is_v6 ? AF_INET6 : AF_INET, address.c_str(),
+            is_v6 ? static_cast<void*>(&v6.sin6_addr) : static_cast<void*>(&v4.sin_addr));
+  const int bound = is_v6 ? bind(descriptor, reinterpret_cast<sockaddr*>(&v6), sizeof(v6))
+                          : bind(descriptor, reinterpret_cast<sockaddr*>(&v4), sizeof(v4));
+  const bool absent = bound != 0 && errno == EADDRNOTAVAIL;
+  close(descriptor);
+  return !absent;
+}
+
+// "127.0.0.1:8080,10.0.0.1:8080".
+std::string places(const std::vector<std::string>& addresses, int port) {
+  std::string text;
+  for (const std::string& address : addresses) {
+    text += (text.empty() ? "" : ",") + bracketed(address) + ":" + std::to_string(port);
+  }
+  return text;
 }
 
 int local_port(int descriptor) {
@@ -167,7 +196,13 @@ Result<std::unique_ptr<HttpServer>> HttpServer::start(const HttpOptions& options
 }
 
 Status HttpServer::listen() {
-  const std::string place = bracketed(options_.listen) + ":" + std::to_string(options_.port);
+  // The last is kept whatever it is: its fault is told then.
+  for (auto each = options_.listen.begin(); each != options_.listen.end();) {
+    const bool keep = has_address(*each) || options_.listen.size() == 1;
+    if (!keep) left_out_.push_back(*each);
+    each = keep ? each + 1 : options_.listen.erase(each);
+  }
+  const std::string place = places(options_.listen, options_.port);
   const std::string threads = std::to_string(options_.max_clients + kShortRequestThreads);
   const std::string timeout = std::to_string(options_.timeout_ms);
   const char* settings[] = {"listening_ports",
@@ -225,8 +260,9 @@ void HttpServer::stop() {
 }
 
 std::string HttpServer::address() const {
-  const bool everybody = options_.listen == "0.0.0.0" || options_.listen == "::";
-  const std::string host = everybody ? machine_name_ : bracketed(options_.listen);
+  const std::string& first = options_.listen.front();
+  const bool everybody = first == "0.0.0.0" || first == "::";
+  const std::string host = everybody ? machine_name_ : bracketed(first);
   return "http://" + host + ":" + std::to_string(port_) + "/";
 }
 
@@ -267,11 +303,14 @@ void HttpServer::answer(mg_connection* connection, HttpExchange& exchange) {
   const char* path = request->local_uri == nullptr ? "" : request->local_uri;
   const HttpRoute* route = find_route(path, request->request_method);
   const Verdict verdict = judge_request(
-      {request->request_method, header(connection, "Host"), header(connection, "Origin")},
-      route == nullptr ? "GET" : std::string_view(route->method), machine_name_);
+      {request->request_method, header(connection, "Host"), header(connection, "Origin"),
+       request->remote_addr, header(connection, "Authorization")},
+      route == nullptr ? "GET" : std::string_view(route->method), machine_name_,
+      {options_.token, options_.insecure});
   if (verdict.status != 200) {
     HttpHeaders headers;
     if (verdict.status == 405) headers.emplace_back("Allow", route ? route->method : "GET");
+    if (verdict.status == 401) headers.emplace_back("WWW-Authenticate", "Bearer");
     exchange.send_text(verdict.status, "text/plain; charset=utf-8",
                        std::string(verdict.reason) + "\n", headers);
   } else if (route == nullptr) {

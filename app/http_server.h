@@ -64,8 +64,10 @@ struct HttpRoute {
 };
 
 struct HttpOptions {
-  std::string listen;  // numeric address
-  int port = 0;        // 0: a free one
+  std::vector<std::string> listen;  // numeric addresses
+  int port = 0;                     // 0: a free one; with one address only
+  std::string token;      // what control from the network must carry; empty: none is taken
+  bool insecure = false;  // everybody may control
   int max_clients = 8;
   int timeout_ms = 3000;  // a client may keep us waiting this long for its bytes or its reading
 };
@@ -78,6 +80,9 @@ class HttpServer {
   ~HttpServer() { stop(); }
   HttpServer(const HttpServer&) = delete;
   HttpServer& operator=(const HttpServer&) = delete;
+
+  // The addresses that this machine does not have (now): they were left out.
+  const std::vector<std::string>& left_out() const { return left_out_; }
 
   // Ends every connection and joins the pool, within about a second.
   void stop();
@@ -97,8 +102,9 @@ class HttpServer {
   const HttpRoute* find_route(const std::string& path, std::string_view method) const;
   void serve(const HttpRoute& route, HttpExchange& exchange);
 
-  const HttpOptions options_;
+  HttpOptions options_;
   const std::vector<HttpRoute> routes_;
+  std::vector<std::string> left_out_;
   std::string machine_name_;
   std::string last_complaint_;  // of the library, while starting
   mg_context* context_ = nullptr;

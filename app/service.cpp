@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstdio>
 #include <string>
+#include <utility>
 
 #include "firmware/base/os.h"
 
@@ -13,12 +14,13 @@ namespace {
 constexpr std::chrono::milliseconds kLookPeriod{50};
 // `systemctl status` shows figures no older than this.
 constexpr std::int64_t kStatusLineNs = 10'000'000'000;
+constexpr std::int64_t kHeatPeriodNs = 1'000'000'000;
 
 // "streaming, 12.3 depths/s", "waiting for camera: /dev/video0 is not there".
 std::string status_line(const Judgement& now, double rate) {
   std::string line = to_string(now.state);
   if (now.reason[0] != 0) line += std::string(": ") + now.reason;
-  if (!gives_depth(now.state)) return line;
+  if (!gives_depth(now.state) || rate <= 0) return line;
   char figures[32];
   std::snprintf(figures, sizeof(figures), ", %.1f depths/s", rate);
   return line + figures;
@@ -31,8 +33,13 @@ bool gives_depth(DeviceState state) {
          state == DeviceState::kDegraded;
 }
 
-Service::Service(Pipeline& pipeline, const LiveView& view, const Recorder& recorder)
-    : pipeline_(pipeline), view_(view), recorder_(recorder) {
+Service::Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config)
+    : pipeline_(pipeline),
+      view_(view),
+      recorder_(recorder),
+      control_(pipeline, recorder),
+      panel_(config.gpio),
+      ladder_(config.service.least_rate) {
   notify_.status(to_string(DeviceState::kBooting));
 }
 
@@ -54,8 +61,9 @@ void Service::look() {
   const std::int64_t now_ns = os::monotonic_ns();
   const std::string fault = pipeline_.fault();
   const RecorderStatus recorder = recorder_.status();
-  const std::array<OutputPulse, 2> outputs = {{{"encode", view_.heartbeat().age_ns(now_ns)},
-                                               {"record", recorder_.heartbeat().age_ns(now_ns)}}};
+  const std::array<OutputPulse, 3> outputs = {{{"encode", view_.heartbeat().age_ns(now_ns)},
+                                               {"record", recorder_.heartbeat().age_ns(now_ns)},
+                                               {"control", control_.heartbeat().age_ns(now_ns)}}};
   Observation seen;
   seen.now_ns = now_ns;
   seen.pipeline = pipeline_.health().snapshot(now_ns);
@@ -63,26 +71,62 @@ void Service::look() {
   seen.outputs = outputs;
   seen.recording = recorder.recording;
   seen.output_fault = recorder.fault.c_str();
+  seen.effort = judge_load(seen.pipeline, now_ns);
+  seen.effort_reason = ladder_.reason();
   const Judgement& now = supervisor_.judge(seen);
   if (now.changed) say(now);
+  notify(now, seen.pipeline.frames_per_second, now_ns);
+  control_.press(panel_.look(now.state, now.alive, now_ns));
+  publish(now, now_ns);
+}
+
+// Follows heat and speed, and tells the pipeline.
+Effort Service::judge_load(const HealthSnapshot& pipeline, std::int64_t now_ns) {
+  if (heat_read_ns_ == 0 || now_ns - heat_read_ns_ >= kHeatPeriodNs) {
+    heat_ = thermal_.read();
+    heat_read_ns_ = now_ns;
+  }
+  LoadFacts facts;
+  facts.now_ns = now_ns;
+  facts.throttled = heat_.throttled;
+  facts.headroom_celsius = heat_.headroom_celsius;
+  facts.inference_ns = pipeline.inference_p50_ns;
+  effort_ = ladder_.judge(facts);
+  pipeline_.set_effort(effort_);
+  return effort_;
+}
+
+// Changes at once, figures now and then, pings at half of the watchdog's time-out.
+void Service::notify(const Judgement& now, double rate, std::int64_t now_ns) {
   const bool first_ready = now.ready && !ready_said_;
   if (now.changed || first_ready || now_ns - last_line_ns_ >= kStatusLineNs) {
-    const std::string line = status_line(now, seen.pipeline.frames_per_second);
+    const std::string line = status_line(now, rate);
     first_ready ? notify_.ready(line) : notify_.status(line);
     ready_said_ = now.ready;
     last_line_ns_ = now_ns;
   }
-  ping(now, now_ns);
-  const std::lock_guard lock(mutex_);
-  status_ = {now, now_ns, notify_.listened(), notify_.watchdog_ns(), pings_};
-}
-
-void Service::ping(const Judgement& now, std::int64_t now_ns) {
   const std::int64_t period = notify_.watchdog_ns() / 2;
-  if (period == 0 || !now.alive || now_ns - last_ping_ns_ < period) return;
+  if (period == 0 || !now.ready || !now.alive || now_ns - last_ping_ns_ < period) return;
   notify_.ping();
   last_ping_ns_ = now_ns;
   ++pings_;
+}
+
+void Service::publish(const Judgement& now, std::int64_t now_ns) {
+  ServiceStatus status;
+  status.judgement = now;
+  status.looked_ns = now_ns;
+  status.managed = notify_.listened();
+  status.watchdog_ns = notify_.watchdog_ns();
+  status.pings = pings_;
+  status.effort = effort_;
+  status.effort_reason = ladder_.reason();
+  status.lowered = ladder_.lowered();
+  status.raised = ladder_.raised();
+  status.thermal = heat_;
+  status.gpio_warnings = panel_.warnings();
+  const std::lock_guard lock(mutex_);
+  status_ = std::move(status);
 }
 
 // Every change once, with its reason.

@@ -4,11 +4,18 @@
 
 #include <cstdint>
 #include <mutex>
+#include <string>
+#include <vector>
 
+#include "app/config.h"
+#include "app/control.h"
+#include "app/front_panel.h"
 #include "app/live_view.h"
 #include "app/recorder.h"
 #include "app/stop_signals.h"
 #include "drivers/service_notify.h"
+#include "drivers/thermal.h"
+#include "firmware/health/degrade_ladder.h"
 #include "firmware/health/supervisor.h"
 #include "firmware/pipeline/pipeline.h"
 
@@ -21,6 +28,12 @@ struct ServiceStatus {
   bool managed = false;          // systemd listens
   std::int64_t watchdog_ns = 0;  // its time-out; 0: none
   std::uint64_t pings = 0;       // sent so far
+  Effort effort = Effort::kFull;
+  std::string effort_reason;  // empty at full effort
+  std::uint64_t lowered = 0;  // times the effort was
+  std::uint64_t raised = 0;
+  ThermalReading thermal;
+  std::vector<std::string> gpio_warnings;  // why lines are missing
 };
 
 // Whether depth comes in this state.
@@ -29,8 +42,8 @@ bool gives_depth(DeviceState state);
 // Threads: run belongs to main; status is for any thread.
 class Service {
  public:
-  // All three are borrowed and must outlive the service.
-  Service(Pipeline& pipeline, const LiveView& view, const Recorder& recorder);
+  // The first three are borrowed and must outlive the service.
+  Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config);
 
   // Until a signal comes or the source ends; the pipeline runs meanwhile.
   void run(const StopSignals& signals);
@@ -39,16 +52,25 @@ class Service {
 
  private:
   void look();
+  Effort judge_load(const HealthSnapshot& pipeline, std::int64_t now_ns);
   void say(const Judgement& now);
-  void ping(const Judgement& now, std::int64_t now_ns);
+  void notify(const Judgement& now, double rate, std::int64_t now_ns);
   void announce_source();
+  void publish(const Judgement& now, std::int64_t now_ns);
 
   Pipeline& pipeline_;
   const LiveView& view_;
   const Recorder& recorder_;
   const ServiceNotify notify_;
+  const Thermal thermal_;
+  ButtonControl control_;
 
-  Supervisor supervisor_;  // from here on: main
+  FrontPanel panel_;  // from here on: main
+  Supervisor supervisor_;
+  DegradeLadder ladder_;
+  ThermalReading heat_;
+  Effort effort_ = Effort::kFull;
+  std::int64_t heat_read_ns_ = 0;
   bool announced_ = false;
   bool ready_said_ = false;
   std::int64_t last_ping_ns_ = 0;

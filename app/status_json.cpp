@@ -1,5 +1,6 @@
 #include "app/status_json.h"
 
+#include <cmath>
 #include <cstdio>
 
 #include "app/version.h"
@@ -24,10 +25,10 @@ nlohmann::json model_json(const EngineStats& stats) {
 }
 
 nlohmann::json frames_json(const HealthSnapshot& now) {
-  return {{"captured", now.captured}, {"inferred", now.inferred},
-          {"dropped", now.dropped},   {"corrupt", now.corrupt},
-          {"failed", now.failed},     {"timeouts", now.timeouts},
-          {"reopened", now.reopened}, {"sequence_gaps", now.sequence_gaps}};
+  return {
+      {"captured", now.captured}, {"inferred", now.inferred}, {"dropped", now.dropped},
+      {"skipped", now.skipped},   {"corrupt", now.corrupt},   {"failed", now.failed},
+      {"timeouts", now.timeouts}, {"reopened", now.reopened}, {"sequence_gaps", now.sequence_gaps}};
 }
 
 nlohmann::json recording_json(const RecorderStatus& now) {
@@ -69,6 +70,24 @@ nlohmann::json device_json(const ServiceStatus& now) {
           {"missed_outputs", now.judgement.missed_outputs}};
 }
 
+// The degrade ladder: where it stands, and how often it was climbed down and up.
+nlohmann::json effort_json(const ServiceStatus& now) {
+  return {{"rung", to_string(now.effort)},
+          {"reason", now.effort_reason},
+          {"lowered", now.lowered},
+          {"raised", now.raised}};
+}
+
+// Null where the board tells nothing.
+nlohmann::json thermal_json(const ThermalReading& now) {
+  nlohmann::json json = {{"throttled", now.throttled}, {"cpu_limit", now.cpu_limit}};
+  json["zone"] = now.zone.empty() ? nlohmann::json() : nlohmann::json(now.zone);
+  json["celsius"] = now.zone.empty() ? nlohmann::json() : nlohmann::json(now.celsius);
+  json["headroom_celsius"] =
+      std::isinf(now.headroom_celsius) ? nlohmann::json() : nlohmann::json(now.headroom_celsius);
+  return json;
+}
+
 nlohmann::json watchdog_json(const ServiceStatus& now) {
   return {{"managed", now.managed},
           {"alive", now.judgement.alive},
@@ -99,6 +118,9 @@ nlohmann::json status_json(const Pipeline& pipeline, const RecorderStatus& recor
   json["recording"] = recording_json(recorder);
   json["device"] = device_json(service);
   json["watchdog"] = watchdog_json(service);
+  json["effort"] = effort_json(service);
+  json["thermal"] = thermal_json(service.thermal);
+  json["gpio"] = {{"warnings", service.gpio_warnings}};
   return json;
 }
 

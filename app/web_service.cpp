@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <string>
 
+#include "app/control.h"
 #include "app/status_json.h"
 #include "app/web_files.h"
 #include "firmware/base/os.h"
@@ -70,17 +71,16 @@ std::string text_of(const nlohmann::json& json) {
   return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
 }
 
-void start_recording(const Parts& parts, HttpExchange& exchange) {
-  const Pipeline::Source source = parts.pipeline.source();
-  const Status status = parts.recorder.start(source.info.uri, source.format, source.model);
-  if (!status) {
-    exchange.send_text(500, kText, std::string(status.text()) + "\n");
+void begin_recording(const Parts& parts, HttpExchange& exchange) {
+  if (const Status status = start_recording(parts.pipeline, parts.recorder); !status) {
+    exchange.send_text(status.code() == StatusCode::kUnavailable ? 503 : 500, kText,
+                       std::string(status.text()) + "\n");
     return;
   }
   exchange.send_text(200, kJson, text_of(parts.status(exchange)["recording"]));
 }
 
-void stop_recording(const Parts& parts, HttpExchange& exchange) {
+void end_recording(const Parts& parts, HttpExchange& exchange) {
   parts.recorder.stop();
   exchange.send_text(200, kJson, text_of(parts.status(exchange)["recording"]));
 }
@@ -190,8 +190,8 @@ std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view, Reco
               exchange.send_text(200, kJson, text_of(p.status(exchange)));
             }),
       route("/healthz", false, send_health),
-      action("/record/start", start_recording),
-      action("/record/stop", stop_recording),
+      action("/record/start", begin_recording),
+      action("/record/stop", end_recording),
   };
 }
 

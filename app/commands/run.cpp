@@ -8,8 +8,10 @@
 
 #include "app/commands/commands.h"
 #include "app/common_options.h"
+#include "app/engine_factory.h"
 #include "app/exit_code.h"
 #include "app/http_server.h"
+#include "app/http_token.h"
 #include "app/live_view.h"
 #include "app/mjpeg_decoder.h"
 #include "app/recorder.h"
@@ -41,21 +43,17 @@ Result<Config> load(const RunOptions& options) {
   return options.common.load(std::move(more));
 }
 
-// The first engine is made from the file that was already read and checked; later ones, for a
-// camera that came back different, read it again, so that it need not stay in memory.
-Pipeline::EngineFactory engine_factory(const Config& config, ModelFile first) {
-  auto kept = std::make_shared<std::optional<ModelFile>>(std::move(first));
-  return [config, kept](const FrameFormat& format,
-                        const CameraModel& model) -> Result<std::unique_ptr<Engine>> {
-    if (*kept) {
-      auto engine = Engine::prepare(**kept, engine_options(config), format, model);
-      kept->reset();
-      return engine;
-    }
-    const Result<ModelFile> file = load_model(config);
-    if (!file) return file.status();
-    return Engine::prepare(*file, engine_options(config), format, model);
-  };
+Result<HttpOptions> http_options(const Config& config) {
+  HttpOptions http;
+  http.listen = listen_addresses(config.http.listen);
+  http.port = config.http.port;
+  http.max_clients = config.http.max_clients;
+  http.insecure = config.http.insecure;
+  if (config.http.token_file.empty()) return http;
+  const Result<std::string> token = read_token(config.http.token_file);
+  if (!token) return token.status();
+  http.token = *token;
+  return http;
 }
 
 int run(const RunOptions& options) {
@@ -64,6 +62,9 @@ int run(const RunOptions& options) {
   if (!config) return report_unusable(config.status());
   Result<ModelFile> model = load_model(*config);
   if (!model) return report_unusable(model.status());
+
+  const Result<HttpOptions> http = http_options(*config);
+  if (!http) return report_unusable(http.status());
 
   if (config->camera.source == "auto") {
     config->camera.source = choose_source(capture_request(*config), [](const std::string& line) {
@@ -80,20 +81,21 @@ int run(const RunOptions& options) {
   PipelineOptions pipeline_options;
   pipeline_options.request = capture_request(*config);
   pipeline_options.seal_capture = source->seal_capture;
-  Pipeline pipeline(*source->camera, engine_factory(*config, std::move(*model)), &decoder,
-                    {&view, &recorder}, pipeline_options);
-  Service service(pipeline, view, recorder);
+  const EngineFactories factories = engine_factories(*config, std::move(*model));
+  Pipeline pipeline(*source->camera, factories.full, &decoder, {&view, &recorder}, pipeline_options,
+                    factories.small);
+  Service service(pipeline, view, recorder, *config);
 
   // The port before the pipeline: what cannot be shown need not start.
-  HttpOptions http;
-  http.listen = config->http.listen;
-  http.port = config->http.port;
-  http.max_clients = config->http.max_clients;
-  const auto server = HttpServer::start(http, web_routes(pipeline, view, recorder, service));
+  const auto server = HttpServer::start(*http, web_routes(pipeline, view, recorder, service));
   if (!server) return report_failure(server.status());
+  for (const std::string& address : (*server)->left_out()) {
+    std::fprintf(stderr, "lcdm: warning: http.listen: this machine does not have %s: left out\n",
+                 address.c_str());
+  }
 
-  const Status started = pipeline.start();
-  if (started) {
+  Status outcome = pipeline.start();
+  if (outcome) {
     std::printf("page    %s\n", (*server)->address().c_str());
     std::fflush(stdout);
     service.run(signals);
@@ -102,7 +104,7 @@ int run(const RunOptions& options) {
   (*server)->stop();
   pipeline.stop();
   recorder.stop();
-  return started ? kExitOk : report_failure(started);
+  return outcome ? kExitOk : report_failure(outcome);
 }
 
 }  // namespace

@@ -60,16 +60,28 @@ function showAge() {
 }
 
 const stateNames = {
-  starting: "Starting", streaming: "Live", "no signal": "No signal", finished: "Finished",
-  stopped: "Stopped", connecting: "Connecting", offline: "Reconnecting",
+  starting: "Starting", booting: "Starting", streaming: "Live", recording: "Recording",
+  degraded: "Degraded", fault: "Fault", "no signal": "No signal", finished: "Finished",
+  "waiting for camera": "Waiting for camera", stopped: "Stopped", connecting: "Connecting",
+  offline: "Reconnecting",
 };
+const liveStates = ["streaming", "recording", "degraded"];
+
+// The device's state while depth comes; what the pictures say while it does not.
+function currentState() {
+  if (link !== "up") return link;
+  const { state } = status.device;
+  return state === "fault" || status.state === "streaming" ? state : status.state;
+}
 
 function showState() {
-  const state = link === "up" ? status.state : link;
+  const state = currentState();
   const pill = $("state");
   pill.dataset.state = state;
-  setText("state", frozen && state === "streaming" ? "Frozen" : stateNames[state] ?? state);
-  const waiting = state !== "streaming" && !frozen;
+  setText("state", frozen && liveStates.includes(state) ? "Frozen" : stateNames[state] ?? state);
+  const waiting = !liveStates.includes(state) && !frozen;
+  $("device-note").hidden = link !== "up" || !["degraded", "fault"].includes(state);
+  if (link === "up") setText("device-reason", status.device.reason);
   if (waiting) {
     setText("distance", "\u2013");
     setText("unit", "");
@@ -88,7 +100,7 @@ function waitText() {
   if (status.state === "starting") return "The first depth picture is on its way.";
   const age = status.frame.age_ms + performance.now() - statusTime;
   const last = status.frame.age_ms < 0 ? "" : `Last frame ${(age / 1000).toFixed(0)} s ago. `;
-  return last + (status.fault || "");
+  return last + (status.device.reason || status.fault);
 }
 
 function showFigures() {
@@ -118,7 +130,12 @@ function showDetails() {
     ["Frames captured", frames.captured], ["Frames with depth", frames.inferred],
     ["Lost by the source", frames.sequence_gaps], ["Broken", frames.corrupt],
     ["Refused by the engine", frames.failed], ["Camera time-outs", frames.timeouts],
-    ["Camera reopened", frames.reopened], ["Viewers", status.viewers],
+    ["Camera reopened", frames.reopened], ["Skipped while resting", frames.skipped],
+    ["Effort", status.effort.rung],
+    ["Temperature", status.thermal.celsius === null ? "\u2013" : `${status.thermal.celsius.toFixed(0)} \u00b0C`],
+    ["Watchdog", status.watchdog.managed ? `${status.watchdog.pings} pings` : "none"],
+    ["Threads that hung", status.device.missed_vital + status.device.missed_outputs],
+    ["Viewers", status.viewers],
     ["Up for", `${Math.floor(status.uptime_s / 60)} min`], ["Version", status.version],
   ];
   $("details").replaceChildren(...rows.map(([name, value]) => {
@@ -205,11 +222,46 @@ function toggleFreeze() {
   if (status) showState();
 }
 
+// Resolves to the token that was typed, or to null.
+function askToken() {
+  const dialog = $("token-dialog");
+  const input = $("token");
+  input.value = "";
+  dialog.showModal();
+  return new Promise((resolve) => {
+    const end = (value) => {
+      dialog.oncancel = null;
+      dialog.close();
+      resolve(value);
+    };
+    dialog.oncancel = () => end(null);
+    $("token-cancel").onclick = () => end(null);
+    $("token-send").onclick = () => {
+      if (/^[!-~]+$/.test(input.value.trim())) end(input.value.trim());
+    };
+    input.onkeydown = (event) => event.key === "Enter" && $("token-send").click();
+  });
+}
+
+// A request that changes something. From the network it needs the token, which is kept until this
+// tab is closed.
+async function control(path) {
+  for (;;) {
+    const token = sessionStorage.getItem("token");
+    const headers = token ? { Authorization: `Bearer ${token}` } : {};
+    const answer = await fetch(path, { method: "POST", headers });
+    if (answer.status !== 401) return answer;
+    const typed = await askToken();
+    if (typed === null) return answer;
+    sessionStorage.setItem("token", typed);
+  }
+}
+
 // Colour frames into MCAP segments on the device. What the button shows is what the status says.
 async function toggleRecording() {
   if (!status) return;
   const action = status.recording.on ? "stop" : "start";
-  const answer = await fetch(`/record/${action}`, { method: "POST" });
+  const answer = await control(`/record/${action}`);
   if (!answer.ok) recordFault = (await answer.text()).trim();
   else recordFault = "";
   showRecording();
@@ -241,7 +293,7 @@ $("theme").addEventListener("click", toggleTheme);
 document.querySelector(".details").addEventListener("toggle", () => status && showDetails());
 document.addEventListener("keydown", (event) => {
   const onControl = event.target.closest("button, a, summary");
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || $("token-dialog").open) return;
   if (event.key === " " && !onControl) {
     event.preventDefault();
     toggleFreeze();
@@ -254,6 +306,6 @@ document.addEventListener("keydown", (event) => {
 
 setInterval(() => {
   showAge();
-  if (status && link === "up" && status.state !== "streaming") showState();
+  if (status && link === "up" && !liveStates.includes(currentState())) showState();
 }, 100);
 new LiveStream("/live", onMessage, onLost).run();

@@ -84,6 +84,7 @@ HealthSnapshot Health::snapshot(std::int64_t now_ns) const {
   out.state = state();
   out.captured = captured_.load(kRelaxed);
   out.dropped = dropped_.load(kRelaxed);
+  out.skipped = skipped_.load(kRelaxed);
   out.corrupt = corrupt_.load(kRelaxed);
   out.failed = failed_.load(kRelaxed);
   out.timeouts = timeouts_.load(kRelaxed);

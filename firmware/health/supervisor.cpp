@@ -66,8 +66,9 @@ void Supervisor::follow_progress(const Observation& seen) {
   last_call_ns_ = seen.now_ns;
   if (pipeline.captured != captured_) last_frame_ns_ = seen.now_ns;
   const bool frames_come = last_frame_ns_ >= 0 && seen.now_ns - last_frame_ns_ < kFramesComeNs;
-  const bool gives_nothing =
-      pipeline.state == PipelineState::kNoSignal || pipeline.state == PipelineState::kFinished;
+  const bool gives_nothing = pipeline.state == PipelineState::kNoSignal ||
+                             pipeline.state == PipelineState::kNoCamera ||
+                             pipeline.state == PipelineState::kFinished;
   waiting_ = gives_nothing && !frames_come;
   if (!begun_ || waiting_ || pipeline.inferred != inferred_) last_progress_ns_ = seen.now_ns;
   captured_ = pipeline.captured;
@@ -109,11 +110,14 @@ Supervisor::Finding Supervisor::find(const Observation& seen) const {
   if (!judgement_.alive) return find_fault(seen);
   switch (seen.pipeline.state) {
     case PipelineState::kNoSignal:
+    case PipelineState::kNoCamera:
     case PipelineState::kFinished:
       return {DeviceState::kWaitingForCamera, "%s", seen.fault};
     case PipelineState::kStarting:
     case PipelineState::kStopped:
       return {DeviceState::kBooting, "%s", seen.fault};
+    case PipelineState::kFault:
+      return {DeviceState::kFault, "%s", seen.fault};
     case PipelineState::kStreaming:
       break;
   }

@@ -36,12 +36,18 @@ bool same_view(const CameraModel& a, const CameraModel& b) {
          a.cx == b.cx && a.cy == b.cy && a.calibrated == b.calibrated;
 }
 
+Pipeline::EngineView view_of(const Engine& engine) {
+  return {engine.stats(), engine.depth_camera(), engine.scale()};
+}
+
 }  // namespace
 
 Pipeline::Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* decoder,
-                   std::vector<DepthSink*> sinks, PipelineOptions options)
+                   std::vector<DepthSink*> sinks, PipelineOptions options,
+                   EngineFactory make_small_engine)
     : camera_(camera),
       make_engine_(std::move(make_engine)),
+      make_small_engine_(std::move(make_small_engine)),
       decoder_(decoder),
       sinks_(std::move(sinks)),
       options_(std::move(options)),
@@ -153,9 +159,18 @@ void Pipeline::infer_loop() {
     if (!captured || stopping_) continue;
     if (captured->generation != prepared_generation_) follow_source(captured->generation);
     alloc_watch::seal_thread();  // steady from here on
+    if (resting()) {
+      health_.note_skipped();
+      continue;
+    }
     if (const Status status = infer(captured->frame.view()); !status) note_fault(status);
   }
   alloc_watch::unseal_thread();
+}
+
+// A processor that works half the time only cools down. Frames that come meanwhile are skipped.
+bool Pipeline::resting() const {
+  return effort_ == Effort::kSmallNetworkRest && os::monotonic_ns() < rest_until_ns_;
 }
 
 // Frames come, but no depth: one is a count, a silence is a state.
@@ -181,7 +196,8 @@ void Pipeline::follow_source(std::uint64_t generation) {
 // Makes decoder, engine and depth image for `source`. On error there is no engine, and every
 // frame of this source counts as failed.
 Status Pipeline::prepare_engine(const Source& source) {
-  engine_.reset();  // its memory first: two may not fit
+  engine_.reset();  // their memory first: four may not fit
+  small_engine_.reset();
   prepared_format_ = source.format;
   prepared_model_ = source.model;
   FrameFormat pixels = source.format;
@@ -197,17 +213,23 @@ Status Pipeline::prepare_engine(const Source& source) {
   Result<std::unique_ptr<Engine>> made = make_engine_(pixels, source.model);
   if (!made) return made.status();
   engine_ = std::move(*made);
+  if (make_small_engine_) {
+    Result<std::unique_ptr<Engine>> small = make_small_engine_(pixels, source.model);
+    if (!small) return small.status();
+    small_engine_ = std::move(*small);
+  }
   const CameraModel& depth = engine_->depth_camera();
   millimetres_.assign(static_cast<std::size_t>(depth.width) * depth.height, 0);
   const std::lock_guard lock(mutex_);
-  stats_ = engine_->stats();
-  depth_camera_ = depth;
-  scale_ = engine_->scale();
+  view_ = view_of(*engine_);
+  small_view_ = view_of(small_engine_ ? *small_engine_ : *engine_);
   return Status::ok();
 }
 
 Status Pipeline::infer(const FrameView& captured) {
   if (!engine_) return engine_status_;
+  const bool small = effort_ != Effort::kFull && small_engine_;
+  Engine& engine = small ? *small_engine_ : *engine_;
   FrameView pixels = captured;
   if (captured.format.pixel == PixelFormat::kMjpeg) {
     const Result<FrameView> decoded = decoder_->decode(captured);
@@ -216,16 +238,18 @@ Status Pipeline::infer(const FrameView& captured) {
   }
   DepthFrame frame;
   frame.meta = captured.meta;
-  frame.camera = engine_->depth_camera();
-  frame.scale = engine_->scale();
+  frame.camera = engine.depth_camera();
+  frame.scale = engine.scale();
   frame.millimetres = millimetres_.data();
   frame.colour = captured;
   frame.pixels = pixels;
   const std::int64_t begin_ns = os::monotonic_ns();
-  LCDM_RETURN_IF_ERROR(engine_->run(
-      pixels, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
+  LCDM_RETURN_IF_ERROR(
+      engine.run(pixels, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
   frame.done_ns = os::monotonic_ns();
   frame.inference_ns = frame.done_ns - begin_ns;
+  rest_until_ns_ = frame.done_ns + frame.inference_ns;
+  small_in_use_ = small;
   deliver(frame);
   return Status::ok();
 }
@@ -249,7 +273,7 @@ Pipeline::Source Pipeline::source() const {
 
 Pipeline::EngineView Pipeline::engine() const {
   const std::lock_guard lock(mutex_);
-  return {stats_, depth_camera_, scale_};
+  return small_in_use_ ? small_view_ : view_;
 }
 
 std::string Pipeline::fault() const {

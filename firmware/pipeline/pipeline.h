@@ -14,6 +14,7 @@
 #include "firmware/base/status.h"
 #include "firmware/buffer/frame_pool.h"
 #include "firmware/buffer/mailbox.h"
+#include "firmware/health/degrade_ladder.h"
 #include "firmware/health/health.h"
 #include "firmware/nn/engine.h"
 #include "firmware/pipeline/camera.h"
@@ -64,9 +65,11 @@ class Pipeline {
   };
 
   // The camera, the decoder (null: the source is never compressed) and the sinks are borrowed and
-  // must outlive the pipeline.
+  // must outlive the pipeline. `make_small_engine` makes the one for less effort; where there is
+  // none, or it gives null, the only engine goes on with it.
   Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* decoder,
-           std::vector<DepthSink*> sinks, PipelineOptions options);
+           std::vector<DepthSink*> sinks, PipelineOptions options,
+           EngineFactory make_small_engine = nullptr);
   ~Pipeline() { stop(); }
   Pipeline(const Pipeline&) = delete;
   Pipeline& operator=(const Pipeline&) = delete;
@@ -78,6 +81,9 @@ class Pipeline {
   // Ends and joins both threads: after the frame in work, and within one dequeue time-out. Again
   // is harmless.
   void stop();
+
+  // How much work goes into depth, from the next frame on. Any thread.
+  void set_effort(Effort effort) { effort_ = effort; }
 
   const Health& health() const { return health_; }
   Source source() const;
@@ -114,6 +120,7 @@ class Pipeline {
   void infer_loop();
   void follow_source(std::uint64_t generation);
   Status prepare_engine(const Source& source);
+  bool resting() const;
   Status infer(const FrameView& captured);
   void deliver(const DepthFrame& frame);
   void note_fault(const Status& status);
@@ -122,11 +129,14 @@ class Pipeline {
 
   Camera& camera_;
   const EngineFactory make_engine_;
+  const EngineFactory make_small_engine_;
   FrameDecoder* const decoder_;
   const std::vector<DepthSink*> sinks_;
   const PipelineOptions options_;
 
   std::atomic<bool> stopping_{false};
+  std::atomic<Effort> effort_{Effort::kFull};
+  std::atomic<bool> small_in_use_{false};  // for the newest depth; written by infer
   Health health_;
   Mailbox<Captured> mailbox_;
   std::optional<FramePool> pool_;   // capture thread; replaced only while nothing is lent
@@ -137,10 +147,12 @@ class Pipeline {
   std::chrono::milliseconds three_periods_{100};  // capture thread; of the camera's frames
 
   std::unique_ptr<Engine> engine_;              // infer thread; null: none for this source
+  std::unique_ptr<Engine> small_engine_;        // infer thread; null: engine_ stands in
   Status engine_status_;                        // infer thread; why there is none
+  std::int64_t rest_until_ns_ = 0;              // infer thread
   std::atomic<std::int64_t> last_depth_ns_{0};  // written by the infer thread
-  std::atomic<bool> only_corrupt_{
-      false};  // set by infer, taken by capture: no frame can be decoded
+  // Set by infer, taken by capture: no frame can be decoded.
+  std::atomic<bool> only_corrupt_{false};
   std::vector<std::uint16_t> millimetres_;  // infer thread; [height * width] of depth
   FrameFormat prepared_format_;             // infer thread; the camera's, before decoding
   CameraModel prepared_model_;              // infer thread
@@ -148,9 +160,8 @@ class Pipeline {
 
   mutable std::mutex mutex_;  // guards what follows
   Source source_;
-  EngineStats stats_;
-  CameraModel depth_camera_;
-  ScaleKind scale_ = ScaleKind::kRelative;
+  EngineView view_;
+  EngineView small_view_;
   char fault_[Status::kMaxText] = {};
 
   std::thread capture_thread_;

@@ -174,7 +174,7 @@ TEST_F(Cli, RefusesASourceThatIsMissingOrBroken) {
 
 TEST_F(Cli, RunRefusesAPortInUse) {
   HttpOptions options;
-  options.listen = "127.0.0.1";
+  options.listen = {"127.0.0.1"};
   const auto other = HttpServer::start(options, {});
   ASSERT_TRUE(other);
   const std::string port = std::to_string((*other)->port());

@@ -1,12 +1,15 @@
 // The HTTP server against clients that are slow, silent, too big or too many: each costs itself.
 #include "app/http_server.h"
 
+#include <arpa/inet.h>
 #include <array>
 #include <atomic>
 #include <chrono>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <ifaddrs.h>
 #include <memory>
+#include <net/if.h>
 #include <stdexcept>
 #include <thread>
 #include <vector>
@@ -28,7 +31,7 @@ class HttpServerTest : public testing::Test {
  protected:
   void SetUp() override {
     HttpOptions options;
-    options.listen = "127.0.0.1";
+    options.listen = {"127.0.0.1"};
     options.max_clients = 2;
     options.timeout_ms = 500;
     auto started = HttpServer::start(options, routes());
@@ -124,6 +127,74 @@ TEST_F(HttpServerTest, ChangesStateOnlyForItsOwnPage) {
   EXPECT_THAT(get(port_, "/change"), StartsWith("HTTP/1.1 405 "));
 }
 
+// The first address of this machine that others see; empty when it has none.
+std::string outside_address() {
+  ifaddrs* all = nullptr;
+  if (getifaddrs(&all) != 0) return {};
+  std::string found;
+  for (const ifaddrs* each = all; each != nullptr && found.empty(); each = each->ifa_next) {
+    if (each->ifa_addr == nullptr || each->ifa_addr->sa_family != AF_INET) continue;
+    if ((each->ifa_flags & IFF_LOOPBACK) != 0) continue;
+    char text[INET_ADDRSTRLEN] = {};
+    inet_ntop(AF_INET, &reinterpret_cast<const sockaddr_in*>(each->ifa_addr)->sin_addr, text,
+              sizeof(text));
+    found = text;
+  }
+  freeifaddrs(all);
+  return found;
+}
+
+TEST_F(HttpServerTest, FromOutsideControlNeedsTheToken) {
+  const std::string outside = outside_address();
+  if (outside.empty()) GTEST_SKIP() << "this machine has no address but loopback";
+  HttpOptions options;
+  options.listen = {outside};
+  options.token = "0123456789abcdef";
+  const auto server = HttpServer::start(options, routes());
+  ASSERT_TRUE(server) << server.status().text();
+  const auto post = [&](const std::string& more) {
+    RawClient client((*server)->port(), outside);
+    client.send("POST /change HTTP/1.1\r\nHost: " + outside + "\r\nContent-Length: 0\r\n" + more +
+                "\r\n");
+    return client.read(5000);
+  };
+  const std::string refused = post("");
+  EXPECT_THAT(refused, StartsWith("HTTP/1.1 401 "));
+  EXPECT_THAT(refused, HasSubstr("WWW-Authenticate: Bearer\r\n"));
+  EXPECT_THAT(refused, Not(HasSubstr(options.token)));
+  EXPECT_THAT(post("Authorization: Bearer 0123456789abcdeX\r\n"), StartsWith("HTTP/1.1 401 "));
+  EXPECT_THAT(post("Authorization: Bearer 0123456789abcdef\r\n"), EndsWith("changed"));
+  RawClient looking((*server)->port(), outside);
+  looking.send("GET /hello HTTP/1.1\r\nHost: " + outside + "\r\n\r\n");
+  EXPECT_THAT(looking.read(5000), EndsWith("hello")) << "looking needs none";
+}
+
+TEST_F(HttpServerTest, AnAddressThatTheMachineLacksIsLeftOut) {
+  server_->stop();
+  HttpOptions options;
+  options.listen = {"192.0.2.77", "127.0.0.1"};  // the first is nobody's, by its standard
+  options.port = port_;
+  const auto server = HttpServer::start(options, routes());
+  ASSERT_TRUE(server) << server.status().text();
+  EXPECT_EQ((*server)->left_out(), std::vector<std::string>{"192.0.2.77"});
+  EXPECT_THAT(get(port_, "/hello"), EndsWith("hello"));
+}
+
+TEST_F(HttpServerTest, ServesEveryAddressItIsGiven) {
+  server_->stop();
+  HttpOptions options;
+  options.listen = {"127.0.0.1", "127.0.0.2"};
+  options.port = port_;
+  const auto server = HttpServer::start(options, routes());
+  ASSERT_TRUE(server) << server.status().text();
+  for (const char* address : {"127.0.0.1", "127.0.0.2"}) {
+    RawClient client(port_, address);
+    client.send("GET /hello HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
+    EXPECT_THAT(client.read(5000), EndsWith("hello")) << address;
+  }
+  EXPECT_TRUE((*server)->left_out().empty());
+}
+
 TEST_F(HttpServerTest, AFaultInAHandlerIsAnAnswer) {
   EXPECT_THAT(get(port_, "/throw"), StartsWith("HTTP/1.1 500 "));
   EXPECT_THAT(get(port_, "/hello"), EndsWith("hello"));
@@ -195,7 +266,7 @@ TEST_F(HttpServerTest, StopsWithinASecondWhateverItsClientsDo) {
 
 TEST_F(HttpServerTest, ATakenPortIsSaidSo) {
   HttpOptions options;
-  options.listen = "127.0.0.1";
+  options.listen = {"127.0.0.1"};
   options.port = port_;
   const auto second = HttpServer::start(options, {});
   ASSERT_FALSE(second);

@@ -1,5 +1,5 @@
-// A client that speaks to a loopback port byte by byte, so that tests can be slow, silent or wrong
-// on purpose.
+// A client that speaks to a port of this machine byte by byte, so that tests can be slow, silent or
+// wrong on purpose.
 #pragma once
 
 #include <arpa/inet.h>
@@ -18,11 +18,12 @@ namespace lcdm::test {
 
 class RawClient {
  public:
-  explicit RawClient(int port) : socket_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+  explicit RawClient(int port, const std::string& host = "127.0.0.1")
+      : socket_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
     sockaddr_in address{};
     address.sin_family = AF_INET;
     address.sin_port = htons(static_cast<std::uint16_t>(port));
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    inet_pton(AF_INET, host.c_str(), &address.sin_addr);
     connected_ = connect(socket_, reinterpret_cast<sockaddr*>(&address), sizeof(address)) == 0;
   }
   ~RawClient() { close(socket_); }

@@ -577,5 +577,36 @@ TEST_F(PipelineTest, CompressedFramesWithoutADecoderAreRefused) {
   EXPECT_EQ(pipeline_->start().code(), StatusCode::kUnsupported);
 }
 
+// An engine of another size stands for the smaller network.
+TEST_F(PipelineTest, LessEffortIsTheSmallerNetworkFromTheNextFrameOn) {
+  Pipeline pipeline(camera_, test::tiny_engine(), nullptr, {&sink_}, fast(), test::tiny_engine(96));
+  ASSERT_TRUE(pipeline.start().is_ok());
+  ASSERT_TRUE(eventually([&] { return sink_.last().camera.width == 64; }));
+  EXPECT_EQ(pipeline.engine().stats.width, 64);
+  pipeline.set_effort(Effort::kSmallNetwork);
+  ASSERT_TRUE(eventually([&] { return sink_.last().camera.width == 96; }));
+  EXPECT_EQ(pipeline.engine().stats.width, 96);
+  EXPECT_EQ(pipeline.engine().depth_camera.width, 96);
+  pipeline.set_effort(Effort::kFull);
+  ASSERT_TRUE(eventually([&] { return sink_.last().camera.width == 64; }));
+  EXPECT_EQ(pipeline.health().snapshot(os::monotonic_ns()).skipped, 0U);
+}
+
+TEST_F(PipelineTest, AtLeastEffortThereAreRestsBetweenFrames) {
+  Pipeline pipeline(camera_, test::tiny_engine(), nullptr, {&sink_}, fast(), test::tiny_engine(96));
+  pipeline.set_effort(Effort::kSmallNetworkRest);
+  ASSERT_TRUE(pipeline.start().is_ok());
+  const auto skipped = [&] { return pipeline.health().snapshot(os::monotonic_ns()).skipped; };
+  ASSERT_TRUE(eventually([&] { return skipped() >= 5 && sink_.count() >= 5; }));
+  EXPECT_EQ(pipeline.health().state(), PipelineState::kStreaming);
+}
+
+TEST_F(PipelineTest, WithoutASmallerNetworkTheOnlyOneGoesOn) {
+  start();
+  pipeline_->set_effort(Effort::kSmallNetwork);
+  ASSERT_TRUE(delivers(5));
+  EXPECT_EQ(sink_.last().camera.width, 64);
+}
+
 }  // namespace
 }  // namespace lcdm

@@ -6,17 +6,17 @@
 
 namespace lcdm::test {
 
-inline Pipeline::EngineFactory tiny_engine() {
-  return
-      [](const FrameFormat& format, const CameraModel& camera) -> Result<std::unique_ptr<Engine>> {
-        const auto config = make_config(EncoderKind::kXxs, PresetKind::kLcdm);
-        const auto model = ModelFile::parse(make_random_model(config, 1));
-        if (!model) return model.status();
-        EngineOptions options;
-        options.width = 64;
-        options.height = 64;
-        return Engine::prepare(*model, options, format, camera);
-      };
+inline Pipeline::EngineFactory tiny_engine(int width = 64) {
+  return [width](const FrameFormat& format,
+                 const CameraModel& camera) -> Result<std::unique_ptr<Engine>> {
+    const auto config = make_config(EncoderKind::kXxs, PresetKind::kLcdm);
+    const auto model = ModelFile::parse(make_random_model(config, 1));
+    if (!model) return model.status();
+    EngineOptions options;
+    options.width = width;
+    options.height = 64;
+    return Engine::prepare(*model, options, format, camera);
+  };
 }
 
 }  // namespace lcdm::test

@@ -1,0 +1,63 @@
+#include "app/engine_factory.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include "app/common_options.h"
+
+namespace lcdm {
+namespace {
+
+using EnginePtr = std::unique_ptr<Engine>;
+
+// Both factories' file: that of the start, until the second of them has used it.
+struct Model {
+  Config config;
+  std::optional<ModelFile> first;
+
+  Result<EnginePtr> prepare(const EngineOptions& options, const FrameFormat& format,
+                            const CameraModel& camera) const {
+    if (first) return Engine::prepare(*first, options, format, camera);
+    const Result<ModelFile> file = load_model(config);
+    if (!file) return file.status();
+    return Engine::prepare(*file, options, format, camera);
+  }
+};
+
+int smaller_side(int side) {
+  return std::max(64, 32 * static_cast<int>(std::lround(side * 0.7 / 32)));
+}
+
+}  // namespace
+
+NetworkSize smaller_size(NetworkSize full) {
+  return {smaller_side(full.width), smaller_side(full.height)};
+}
+
+EngineFactories engine_factories(const Config& config, ModelFile first) {
+  auto model = std::make_shared<Model>(Model{config, std::move(first)});
+  EngineFactories factories;
+  factories.full = [model](const FrameFormat& format, const CameraModel& camera) {
+    return model->prepare(engine_options(model->config), format, camera);
+  };
+  factories.small = [model](const FrameFormat& format,
+                            const CameraModel& camera) -> Result<EnginePtr> {
+    EngineOptions options = engine_options(model->config);
+    const NetworkSize full = options.width > 0 ? NetworkSize{options.width, options.height}
+                                               : choose_network_size(camera);
+    const NetworkSize small = smaller_size(full);
+    options.width = small.width;
+    options.height = small.height;
+    const bool same = small.width >= full.width && small.height >= full.height;
+    Result<EnginePtr> engine =
+        same ? Result<EnginePtr>(EnginePtr()) : model->prepare(options, format, camera);
+    model->first.reset();
+    return engine;
+  };
+  return factories;
+}
+
+}  // namespace lcdm

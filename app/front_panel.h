@@ -1,0 +1,43 @@
+// The light, the button and the heartbeat output of a board, where there are any.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "app/config.h"
+#include "drivers/gpio.h"
+#include "firmware/health/indicator.h"
+
+namespace lcdm {
+
+// Belongs to main. Dropped, the outputs are at their safe level.
+class FrontPanel {
+ public:
+  // Requests the lines that are named. One that cannot be had is a warning: the device does
+  // without.
+  explicit FrontPanel(const Config::Gpio& names);
+
+  // Shows the state, beats while the device is alive, and tells what was pressed.
+  Press look(DeviceState state, bool alive, std::int64_t now_ns);
+
+  // Why lines are missing, one line for a person each.
+  const std::vector<std::string>& warnings() const { return warnings_; }
+
+ private:
+  using LinePtr = std::unique_ptr<GpioLine>;
+
+  LinePtr request(const char* key, const std::string& name, GpioUse use);
+  void drive(LinePtr& line, bool active);
+
+  std::vector<std::string> warnings_;
+  LinePtr light_;
+  LinePtr button_line_;
+  LinePtr heartbeat_;
+  Button button_;
+  DeviceState state_ = DeviceState::kBooting;
+  std::int64_t state_since_ns_ = 0;
+};
+
+}  // namespace lcdm

@@ -1,0 +1,196 @@
+// `lcdm run` as systemd runs it: what it says on the notification socket, when, and what stops it.
+#include <filesystem>
+#include <fstream>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+#include <regex>
+#include <sys/ptrace.h>
+#include <sys/stat.h>
+
+#include "app/config.h"
+#include "app/control.h"
+#include "app/engine_factory.h"
+#include "firmware/health/indicator.h"
+#include "tests/app/program.h"
+#include "tests/app/raw_client.h"
+#include "tests/drivers/temporary_folder.h"
+#include "tests/support/notify_socket.h"
+#include "tests/support/random_model.h"
+
+namespace lcdm {
+namespace {
+
+namespace fs = std::filesystem;
+using test::Program;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+class ServiceTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    const auto image =
+        test::make_random_model(test::make_config(EncoderKind::kXxs, PresetKind::kLcdm), 1);
+    std::ofstream(model_, std::ios::binary)
+        .write(reinterpret_cast<const char*>(image.data()),
+               static_cast<std::streamsize>(image.size()));
+  }
+
+  // `lcdm run` of a small network, with these arguments more.
+  std::vector<std::string> arguments(const std::vector<std::string>& more) const {
+    std::vector<std::string> all = {"run",
+                                    "--port",
+                                    "0",
+                                    "--model",
+                                    model_,
+                                    "--set",
+                                    "model.width=96",
+                                    "--set",
+                                    "model.height=64",
+                                    "--set",
+                                    "record.directory=" + folder_.file("recordings")};
+    all.insert(all.end(), more.begin(), more.end());
+    return all;
+  }
+  std::vector<std::string> environment() const {
+    return {"NOTIFY_SOCKET=" + socket_.path(), "WATCHDOG_USEC=400000"};
+  }
+
+  // The next message that begins so; empty when none comes.
+  std::string message(const std::string& start) const {
+    for (int i = 0; i < 200; ++i) {
+      std::string text = socket_.next(30'000);
+      if (text.empty() || text.rfind(start, 0) == 0) return text;
+    }
+    return {};
+  }
+
+  static int port_of(const Program& program) {
+    const std::string mark = "http://127.0.0.1:";
+    return std::stoi(program.text().substr(program.text().find(mark) + mark.size()));
+  }
+  static nlohmann::json status_of(int port) {
+    const std::string answer = test::get(port, "/status.json");
+    return nlohmann::json::parse(answer.substr(answer.find("\r\n\r\n")));
+  }
+
+  test::TemporaryFolder folder_;
+  const std::string model_ = folder_.file("model.safetensors");
+  test::NotifySocket socket_{folder_.file("notify")};
+};
+
+TEST_F(ServiceTest, TellsSystemdThatItIsReadyLivesAndStops) {
+  Program program(LCDM_PROGRAM, arguments({"--source", "scene:"}), environment());
+  EXPECT_EQ(message("STATUS="), "STATUS=booting");
+  EXPECT_THAT(message("READY=1"), HasSubstr("STATUS=streaming"));
+  for (int i = 0; i < 3; ++i) EXPECT_EQ(message("WATCHDOG=1"), "WATCHDOG=1");
+  ASSERT_TRUE(program.wait_for("\nstreaming\n")) << program.text();
+  const auto status = status_of(port_of(program));
+  EXPECT_EQ(status["device"]["state"], "streaming");
+  EXPECT_EQ(status["device"]["reason"], "");
+  EXPECT_EQ(status["device"]["missed_vital"], 0);
+  EXPECT_EQ(status["watchdog"]["managed"], true);
+  EXPECT_EQ(status["watchdog"]["timeout_ms"], 400);
+  EXPECT_GE(status["watchdog"]["pings"], 3);
+  EXPECT_EQ(status["effort"]["rung"], "full network");
+  EXPECT_TRUE(status["thermal"].contains("throttled"));
+  kill(program.pid(), SIGTERM);
+  EXPECT_THAT(message("STOPPING=1"), StartsWith("STOPPING=1"));
+  EXPECT_EQ(program.wait(), 0) << program.text();
+}
+
+// No ping while depth does not come: systemd would end and restart us.
+TEST_F(ServiceTest, AStoppedProcessDoesNotPing) {
+  Program program(LCDM_PROGRAM, arguments({"--source", "scene:"}), environment());
+  EXPECT_THAT(message("READY=1"), HasSubstr("streaming"));
+  kill(program.pid(), SIGSTOP);
+  while (!socket_.next(1000).empty()) continue;
+  EXPECT_EQ(socket_.next(1000), "") << "nothing pings for us";
+  kill(program.pid(), SIGCONT);
+  EXPECT_EQ(message("WATCHDOG=1"), "WATCHDOG=1");
+}
+
+// The thread of the process that has this name; 0: none.
+pid_t thread_of(pid_t process, const std::string& name) {
+  for (const auto& task : fs::directory_iterator("/proc/" + std::to_string(process) + "/task")) {
+    std::ifstream file(task.path() / "comm");
+    std::string comm;
+    std::getline(file, comm);
+    if (comm == name) return std::stoi(task.path().filename().string());
+  }
+  return 0;
+}
+
+// Everything else runs on: main, capture and the page.
+TEST_F(ServiceTest, AStalledInferenceStopsThePing) {
+  Program program(LCDM_PROGRAM, arguments({"--source", "scene:"}), environment());
+  EXPECT_THAT(message("READY=1"), HasSubstr("streaming"));
+  ASSERT_TRUE(program.wait_for("\nstreaming\n")) << program.text();
+  const pid_t infer = thread_of(program.pid(), "infer");
+  if (ptrace(PTRACE_SEIZE, infer, nullptr, nullptr) != 0) GTEST_SKIP() << "may not trace";
+  ASSERT_EQ(ptrace(PTRACE_INTERRUPT, infer, nullptr, nullptr), 0);
+  EXPECT_THAT(message("STATUS=fault"), HasSubstr("fault: "));
+  EXPECT_EQ(socket_.next(1500), "") << "the watchdog's time-out is 400 ms";
+  EXPECT_THAT(test::get(port_of(program), "/healthz"), StartsWith("HTTP/1.1 503 "));
+}
+
+TEST_F(ServiceTest, AbsentGpioIsAWarning) {
+  Program program(LCDM_PROGRAM,
+                  arguments({"--source", "scene:", "--set", "gpio.light=NO.SUCH.LINE", "--set",
+                             "gpio.button=!NO.SUCH.BUTTON"}),
+                  environment());
+  EXPECT_THAT(message("READY=1"), HasSubstr("streaming"));
+  ASSERT_TRUE(program.wait_for("\nstreaming\n")) << program.text();
+  EXPECT_THAT(program.text(), HasSubstr("warning: gpio.light: gpio NO.SUCH.LINE: "));
+  EXPECT_EQ(status_of(port_of(program))["gpio"]["warnings"].size(), 2U);
+}
+
+TEST_F(ServiceTest, ATokenFileThatIsNoneIsAFaultOfTheConfiguration) {
+  const std::string file = folder_.write("token", "0123456789abcdef");
+  chmod(file.c_str(), 0644);
+  Program program(LCDM_PROGRAM,
+                  arguments({"--source", "scene:", "--set", "http.token_file=" + file}));
+  EXPECT_EQ(program.wait(), 78);
+  EXPECT_THAT(program.text(), HasSubstr("http.token_file"));
+}
+
+TEST_F(ServiceTest, PowerOffIsAskedForByAFile) {
+  unsetenv("RUNTIME_DIRECTORY");
+  EXPECT_EQ(request_power_off().code(), StatusCode::kUnsupported);
+  setenv("RUNTIME_DIRECTORY", folder_.path().c_str(), 1);
+  EXPECT_TRUE(request_power_off());
+  EXPECT_TRUE(fs::is_regular_file(folder_.file("poweroff")));
+  setenv("RUNTIME_DIRECTORY", "/nowhere", 1);
+  EXPECT_EQ(request_power_off().code(), StatusCode::kIoError);
+  unsetenv("RUNTIME_DIRECTORY");
+}
+
+TEST(SmallerNetwork, HasAboutHalfThePixelsInTheSameShape) {
+  for (const NetworkSize full : {NetworkSize{384, 288}, {640, 192}, {448, 256}, {640, 480}}) {
+    const NetworkSize small = smaller_size(full);
+    const double pixels = 1.0 * small.width * small.height / (full.width * full.height);
+    const double shape = 1.0 * small.width / small.height * full.height / full.width;
+    EXPECT_NEAR(pixels, 0.5, 0.1) << full.width << "x" << full.height;
+    EXPECT_NEAR(shape, 1, 0.2) << full.width << "x" << full.height;
+    EXPECT_EQ(small.width % 32 + small.height % 32, 0);
+  }
+  EXPECT_EQ(smaller_size({64, 64}).width, 64) << "there is none below";
+}
+
+// The table that people read is the one that blinks.
+TEST(LightPatterns, StandInTheManuals) {
+  for (const char* manual : {"app/README.md", "systemd/lcdm.toml"}) {
+    std::ifstream file(manual);
+    const std::string text((std::istreambuf_iterator<char>(file)), {});
+    for (std::size_t i = 0; i < kDeviceStates; ++i) {
+      const auto state = static_cast<DeviceState>(i);
+      const std::string pattern(light_pattern(state));
+      const std::regex row(std::string("[|#] +") + to_string(state) + "[ |`]+" +
+                           std::regex_replace(pattern, std::regex("\\."), "\\.") + "[`\n]");
+      EXPECT_TRUE(std::regex_search(text, row)) << manual << ": " << to_string(state);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace lcdm
