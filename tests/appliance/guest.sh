@@ -28,7 +28,7 @@ start_guest() {
   web_port=$(free_port)
   web=http://127.0.0.1:$web_port
   # A kernel that crashes hangs, as panic=0 says: what resets it is the watchdog.
-  qemu-system-x86_64 -M q35 -accel tcg,thread=multi -cpu max -smp 2 -m 1536 -display none \
+  qemu-system-x86_64 -M pc -accel tcg,thread=multi -cpu max -smp 2 -m 1536 -display none \
     -serial "file:$work/console.log" -monitor none -kernel "$guest/vmlinuz" -initrd "$guest/initrd" \
     -append "console=ttyS0 root=/dev/vda rw quiet panic=0 mitigations=off audit=0 apparmor=0" \
     -drive "file=$work/disk.qcow2,if=virtio,cache=writeback" \
@@ -68,3 +68,6 @@ kill_guest() {
 
 # status FILTER: something of the service's status, by a filter of jq; nothing when it is silent.
 status() { curl -sf --max-time 5 "$web/status.json" | jq -r "$1"; }
+
+# http_code PATH [OPTION...]: the number a request is answered with.
+http_code() { curl -s -o /dev/null --max-time 10 -w '%{http_code}' "$web$1" "${@:2}"; }

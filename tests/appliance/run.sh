@@ -37,6 +37,7 @@ work=$(mktemp -d "$PWD/build/appliance/run.XXXX")
 . $here/guest.sh
 . $here/checks_service.sh
 . $here/checks_capture.sh
+. $here/checks_board.sh
 
 finish() {
   if $keep && [[ -n $guest_pid ]]; then
@@ -52,8 +53,34 @@ $here/guest_image.sh "$package" "$guest"
 new_disk
 start_guest
 check 'boots' boots
-check 'package installs, service runs' package_installs
+((failures == 0)) || { tail -20 "$work/console.log"; exit 1; }
+check 'package installs, service is ready' package_installs
+check 'no camera at boot: a declared wait' waits_without_camera
+check 'exposure 2.0 or better' exposure
 check 'camera arrives after boot' camera_arrives
 check 'depth as a 16-bit picture' depth_picture
+check 'frame with the error flag' broken_frame
+check 'frames lost' lost_frames
+check 'fatal streaming error' recovers stream_restarts inject_fatal_streaming_error
+check 'camera disconnected' recovers reopenings disconnect
+check 'camera unplugged for seconds' camera_unplugged
+check 'control from outside needs the token' control_is_refused
+check 'inference stalls: systemd watchdog' watchdog_restarts
+check 'kernel crashes: hardware watchdog' hardware_watchdog_resets
+check 'boot to first depth' boot_to_depth
+check 'power cut while recording' power_cut_keeps_recording
+if $all; then
+  check 'drivers for the board' board_modules
+  check 'GPIO: lines by name' gpio_set_up
+  check 'GPIO: light' gpio_light
+  check 'GPIO: heartbeat' gpio_heartbeat
+  check 'GPIO: button records' gpio_button
+  check 'USB: page over the cable' usb_network
+  check 'USB: control needs the token' usb_control_is_refused
+  check 'USB: down and up' usb_down_and_up
+  check 'libcamera: vimc' libcamera_streams
+fi
+check 'package upgrades' package_upgrades
+check 'package removes and purges' package_purges
 print_checks
 ((failures == 0)) || { echo "logs: $work"; exit 1; }
