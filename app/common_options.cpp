@@ -71,6 +71,8 @@ CaptureRequest capture_request(const Config& config) {
   request.height = config.camera.height;
   request.frames_per_second = static_cast<float>(config.camera.frames_per_second);
   request.assumed_field_of_view = static_cast<float>(config.camera.field_of_view);
+  request.controls = {config.camera.exposure_ms, config.camera.gain,
+                      config.camera.white_balance_kelvin, config.camera.power_line_hz};
   return request;
 }
 

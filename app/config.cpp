@@ -20,8 +20,8 @@ namespace {
 constexpr std::uintmax_t kMaxFileBytes = 256U << 10;
 
 const char* source_objection(const std::string& text) {
-  if (text == "auto" || is_source_uri(text)) return nullptr;
-  return "is no source: use auto, scene:, file:PATH, mcap:PATH or v4l2:/dev/...";
+  static const std::string kObjection = std::string("is no source: use auto, ") + kSourceForms;
+  return text == "auto" || is_source_uri(text) ? nullptr : kObjection.c_str();
 }
 
 bool is_address(const std::string& text) {
@@ -268,6 +268,10 @@ Status read_assignment(const std::vector<ConfigField>& fields, const ConfigAssig
 }
 
 Status check_whole(const Config& config) {
+  const int hertz = config.camera.power_line_hz;
+  if (hertz != 0 && hertz != 50 && hertz != 60) {
+    return fault("camera.power_line_hz", "give 50 or 60, or 0 for automatic");
+  }
   const bool one_missing = (config.model.width == 0) != (config.model.height == 0);
   const bool too_small = config.model.width == 32 || config.model.height == 32;
   if (one_missing || too_small || config.model.width % 32 != 0 || config.model.height % 32 != 0) {
@@ -303,6 +307,10 @@ std::vector<ConfigField> config_fields(Config& c) {
       {"camera", "height", &c.camera.height, 32, 8192},
       {"camera", "frames_per_second", &c.camera.frames_per_second, 0.1, 1000},
       {"camera", "field_of_view", &c.camera.field_of_view, 5, 170},
+      {"camera", "exposure_ms", &c.camera.exposure_ms, 0, 10'000},
+      {"camera", "gain", &c.camera.gain, -1, 1e6},
+      {"camera", "white_balance_kelvin", &c.camera.white_balance_kelvin, 0, 20'000},
+      {"camera", "power_line_hz", &c.camera.power_line_hz, 0, 60},
       {"model", "file", &c.model.file},
       {"model", "width", &c.model.width, 0, 2048},
       {"model", "height", &c.model.height, 0, 2048},

@@ -18,6 +18,10 @@ struct Config {
     int height = 480;
     double frames_per_second = 30;
     double field_of_view = 65;
+    double exposure_ms = 0;
+    double gain = -1;
+    int white_balance_kelvin = 0;
+    int power_line_hz = 0;
   } camera;
   struct Model {
     std::string file;

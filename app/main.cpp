@@ -11,8 +11,9 @@ namespace {
 
 // Whatever fails is said by us, in one line; OpenCV and its FFmpeg would add their own.
 void quiet_libraries() {
-  setenv("OPENCV_LOG_LEVEL", "OFF", 0);       // NOLINT(concurrency-mt-unsafe): no threads yet
-  setenv("OPENCV_FFMPEG_LOGLEVEL", "-8", 0);  // NOLINT(concurrency-mt-unsafe): AV_LOG_QUIET
+  setenv("OPENCV_LOG_LEVEL", "OFF", 0);          // NOLINT(concurrency-mt-unsafe): no threads yet
+  setenv("OPENCV_FFMPEG_LOGLEVEL", "-8", 0);     // NOLINT(concurrency-mt-unsafe): AV_LOG_QUIET
+  setenv("LIBCAMERA_LOG_LEVELS", "*:FATAL", 0);  // NOLINT(concurrency-mt-unsafe)
   // Formats whose headers we do not read ourselves are held to the same size.
   setenv("OPENCV_IO_MAX_IMAGE_PIXELS", "100000000", 0);  // NOLINT(concurrency-mt-unsafe)
 }
@@ -41,6 +42,8 @@ int main(int argc, char** argv) {
     lcdm::add_bench_command(program, exit_code);
     lcdm::add_inspect_command(program, exit_code);
     lcdm::add_check_command(program, exit_code);
+    lcdm::add_probe_command(program, exit_code);
+    lcdm::add_doctor_command(program, exit_code);
     lcdm::add_version_command(program, exit_code);
     try {
       program.parse(argc, argv);

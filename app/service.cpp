@@ -43,13 +43,16 @@ Service::Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, c
   notify_.status(to_string(DeviceState::kBooting));
 }
 
-void Service::run(const StopSignals& signals) {
+bool Service::run(const StopSignals& signals) {
+  PipelineState state = PipelineState::kStarting;
   look();
   while (!signals.wait_for(kLookPeriod)) {
     look();
-    if (pipeline_.health().state() == PipelineState::kFinished) break;
+    state = pipeline_.health().state();
+    if (state == PipelineState::kFinished || state == PipelineState::kFault) break;
   }
   notify_.stopping("stopping");
+  return state != PipelineState::kFault;
 }
 
 ServiceStatus Service::status() const {

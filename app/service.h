@@ -45,8 +45,9 @@ class Service {
   // The first three are borrowed and must outlive the service.
   Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config);
 
-  // Until a signal comes or the source ends; the pipeline runs meanwhile.
-  void run(const StopSignals& signals);
+  // Until a signal comes or the source ends; the pipeline runs meanwhile. False: its recovery is at
+  // an end, and only a new process may help.
+  bool run(const StopSignals& signals);
 
   ServiceStatus status() const;
 

@@ -7,10 +7,15 @@
 #include <string_view>
 #include <vector>
 
+#ifdef LCDM_LIBCAMERA
+#include "drivers/libcamera_camera.h"
+#endif
 #include "drivers/mcap_camera.h"
 #include "drivers/replay_camera.h"
 #include "drivers/scene_camera.h"
+#include "drivers/usb_port.h"
 #include "drivers/v4l2_camera.h"
+#include "drivers/v4l2_nodes.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {
@@ -54,10 +59,22 @@ Status try_camera(Camera& camera, const CaptureRequest& request) {
   return status;
 }
 
+Result<OpenedSource> open_libcamera(const std::string& id) {
+#ifdef LCDM_LIBCAMERA
+  return OpenedSource{std::make_unique<LibcameraCamera>(id), false, true,
+                      std::make_unique<UsbPort>()};
+#else
+  return Status::error(StatusCode::kUnsupported,
+                       "libcamera:%s: this lcdm was built without libcamera: install libcamera-dev "
+                       "0.0.3 or newer and build again, or use v4l2:",
+                       id.c_str());
+#endif
+}
+
 }  // namespace
 
 bool is_source_uri(const std::string& text) {
-  for (const char* scheme : {"file:", "mcap:", "v4l2:"}) {
+  for (const char* scheme : {"file:", "mcap:", "v4l2:", "libcamera:"}) {
     if (const auto rest = rest_of(text, scheme)) return !rest->empty();
   }
   const auto seed = rest_of(text, "scene:");
@@ -75,16 +92,19 @@ Result<OpenedSource> open_source(const std::string& uri, Playback playback) {
     return OpenedSource{std::make_unique<McapCamera>(*path, how), false, live};
   }
   if (const auto device = rest_of(uri, "v4l2:")) {
-    return OpenedSource{std::make_unique<V4l2Camera>(*device), true, true};
+    return OpenedSource{std::make_unique<V4l2Camera>(*device), true, true,
+                        std::make_unique<UsbPort>()};
+  }
+  if (const auto id = rest_of(uri, "libcamera:")) {
+    return open_libcamera(*id);
   }
   if (const auto text = rest_of(uri, "scene:")) {
     if (const auto seed = parse_seed(*text)) {
       return OpenedSource{std::make_unique<SceneCamera>(*seed), true, true};
     }
   }
-  return Status::error(StatusCode::kInvalidInput,
-                       "%s: no such source: use scene:, file:PATH, mcap:PATH or v4l2:/dev/...",
-                       uri.c_str());
+  return Status::error(StatusCode::kInvalidInput, "%.80s: no such source: use %s", uri.c_str(),
+                       kSourceForms);
 }
 
 std::string choose_source(const CaptureRequest& request,
@@ -95,7 +115,7 @@ std::string choose_source(const CaptureRequest& request,
   };
   for (const V4l2Node& node : list_v4l2_nodes()) {
     if (!node.usable) {
-      reject(node.path + ": " + node.reason);
+      reject(node.reason);
       continue;
     }
     V4l2Camera camera(node.path);

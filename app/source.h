@@ -7,6 +7,7 @@
 
 #include "firmware/base/status.h"
 #include "firmware/pipeline/camera.h"
+#include "firmware/pipeline/camera_port.h"
 
 namespace lcdm {
 
@@ -17,7 +18,13 @@ struct OpenedSource {
   std::unique_ptr<Camera> camera;  // not configured yet
   bool seal_capture = false;       // its capture thread keeps the promise not to allocate
   bool endless = false;            // gives frames until it is stopped, offline too
+  // Where it is plugged in; null: it is nothing that comes and goes.
+  std::unique_ptr<CameraPort> port{};
 };
+
+// The forms a source may have, for messages.
+constexpr const char* kSourceForms =
+    "scene:, file:PATH, mcap:PATH, v4l2:/dev/..., v4l2:serial=TEXT, v4l2:name=TEXT or libcamera:ID";
 
 // Whether the text has the form of a source: a scheme we know and what it needs. Does not look
 // whether anything is there.

@@ -31,6 +31,19 @@ nlohmann::json frames_json(const HealthSnapshot& now) {
       {"timeouts", now.timeouts}, {"reopened", now.reopened}, {"sequence_gaps", now.sequence_gaps}};
 }
 
+// How often each rung of the recovery ladder was stepped on.
+nlohmann::json recovery_json(const HealthSnapshot& now) {
+  const auto steps = [&now](RecoveryRung rung) {
+    return now.recovery[static_cast<std::size_t>(rung)];
+  };
+  return {{"stream_restarts", steps(RecoveryRung::kRestartStream)},
+          {"reopenings", steps(RecoveryRung::kReopen)},
+          {"device_waits", steps(RecoveryRung::kWaitForDevice)},
+          {"port_resets", steps(RecoveryRung::kResetPort)},
+          {"port_resets_skipped", now.resets_skipped},
+          {"process_restarts", steps(RecoveryRung::kRestartProcess)}};
+}
+
 nlohmann::json recording_json(const RecorderStatus& now) {
   return {{"on", now.recording}, {"frames", now.frames}, {"dropped", now.dropped},
           {"bytes", now.bytes},  {"file", now.file},     {"fault", now.fault}};
@@ -49,6 +62,7 @@ nlohmann::json inference_json(const HealthSnapshot& now) {
 nlohmann::json source_json(const Pipeline::Source& source) {
   return {{"uri", source.info.uri},
           {"description", source.info.description},
+          {"stamp", to_string(source.info.stamp)},
           {"pixel_format", to_string(source.format.pixel)},
           {"width", source.format.width},
           {"height", source.format.height}};
@@ -112,6 +126,7 @@ nlohmann::json status_json(const Pipeline& pipeline, const RecorderStatus& recor
   json["frame"] = frame_json(now);
   json["inference_ms"] = inference_json(now);
   json["frames"] = frames_json(now);
+  json["recovery"] = recovery_json(now);
   json["source"] = source_json(pipeline.source());
   json["depth"] = depth_json(engine);
   json["model"] = model_json(engine.stats);

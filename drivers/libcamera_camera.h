@@ -10,6 +10,8 @@
 
 namespace lcdm {
 
+class LibcameraSession;
+
 // The ids of all cameras that libcamera knows, USB cameras among them. Empty also where it cannot
 // be started.
 std::vector<std::string> list_libcamera_cameras();
@@ -34,8 +36,7 @@ class LibcameraCamera final : public Camera {
   void stop() override;
 
  private:
-  class Session;  // libcamera's side; keeps its types out of this header
-  std::unique_ptr<Session> session_;
+  std::unique_ptr<LibcameraSession> session_;  // keeps libcamera's types out of this header
 };
 
 }  // namespace lcdm

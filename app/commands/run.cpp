@@ -81,6 +81,7 @@ int run(const RunOptions& options) {
   PipelineOptions pipeline_options;
   pipeline_options.request = capture_request(*config);
   pipeline_options.seal_capture = source->seal_capture;
+  pipeline_options.port = source->port.get();
   const EngineFactories factories = engine_factories(*config, std::move(*model));
   Pipeline pipeline(*source->camera, factories.full, &decoder, {&view, &recorder}, pipeline_options,
                     factories.small);
@@ -98,7 +99,9 @@ int run(const RunOptions& options) {
   if (outcome) {
     std::printf("page    %s\n", (*server)->address().c_str());
     std::fflush(stdout);
-    service.run(signals);
+    if (!service.run(signals)) {
+      outcome = Status::error(StatusCode::kIoError, "nothing brings the camera back; start again");
+    }
   }
   view.stop();
   (*server)->stop();
@@ -115,7 +118,7 @@ void add_run_command(CLI::App& program, int& exit_code) {
       "run", "The camera service: depth of a live source, shown on a page in the browser");
   command
       ->add_option("--source", options->source,
-                   "auto, v4l2:/dev/..., scene:, file:PATH or mcap:PATH (default: auto)")
+                   std::string("auto, ") + kSourceForms + " (default: auto)")
       ->type_name("URI");
   command->add_option("--listen", options->listen, "Address of the page (default: 127.0.0.1)")
       ->type_name("ADDR");

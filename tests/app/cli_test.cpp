@@ -162,7 +162,6 @@ TEST_F(Cli, RefusesASourceThatIsMissingOrBroken) {
         wanted);
     EXPECT_FALSE(fs::exists(folder_ / "out")) << "nothing half-started";
   };
-  run("v4l2:/dev/video99", "/dev/video99");
   run("v4l2:/dev/null", "/dev/null");
   run("file:/nowhere.mp4", "/nowhere.mp4");
   run("mcap:/nowhere.mcap", "/nowhere.mcap");
@@ -170,6 +169,19 @@ TEST_F(Cli, RefusesASourceThatIsMissingOrBroken) {
   run("file:" + (folder_ / "video.mp4").string(), "video.mp4");
   fs::create_directories(folder_ / "empty");
   run("file:" + (folder_ / "empty").string(), "empty");
+}
+
+TEST_F(Cli, ACameraThatIsNotPluggedInIsWaitedForByRunOnly) {
+  const std::string model = model_.string();
+  expect_refusal({"infer", "--output", (folder_ / "out").string(), "--model", model, "--source",
+                  "v4l2:/dev/video99"},
+                 1, "/dev/video99");
+  Program program(LCDM_PROGRAM,
+                  {"run", "--port", "0", "--model", model, "--source", "v4l2:serial=NOBODY"});
+  ASSERT_TRUE(program.wait_for("waiting for camera")) << program.text();
+  EXPECT_THAT(program.text(), HasSubstr("v4l2:serial=NOBODY: no such camera"));
+  kill(program.pid(), SIGTERM);
+  EXPECT_EQ(program.wait(), 0) << program.text();
 }
 
 TEST_F(Cli, RunRefusesAPortInUse) {

@@ -10,6 +10,18 @@ ssh_options=(
 )
 guest_pid=
 
+# Why no guest can be booted on this machine; nothing when one can.
+why_no_guest() {
+  local architecture tool
+  architecture=$(dpkg --print-architecture)
+  [[ $architecture == amd64 ]] || { echo "no guest for $architecture yet"; return; }
+  [[ $(. /etc/os-release && echo "$ID$VERSION_ID") == debian12 ]] || { echo 'the guest is a Debian 12'; return; }
+  for tool in qemu-system-x86_64 qemu-img mmdebstrap mke2fs ssh curl jq; do
+    command -v "$tool" >/dev/null || { echo "no $tool: systemd/install-packages.sh test"; return; }
+  done
+  [[ $(id -u) -eq 0 ]] || { echo 'making its disk needs root'; return; }
+}
+
 free_port() {
   local port
   while port=$((20000 + RANDOM % 20000)); do

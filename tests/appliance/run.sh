@@ -23,15 +23,9 @@ while [[ $# -gt 0 ]]; do
   shift
 done
 
-architecture=$(dpkg --print-architecture)
-if [[ $architecture != amd64 ]]; then
-  echo "run.sh: skipped: no guest for $architecture yet"
-  exit 0
-fi
-[[ -n $package ]] || package=$(./package.sh | tail -1)
-
 here=tests/appliance
-guest=$PWD/build/appliance/$architecture
+guest=$PWD/build/appliance/guest
+mkdir -p "$guest"
 work=$(mktemp -d "$PWD/build/appliance/run.XXXX")
 . $here/report.sh
 . $here/guest.sh
@@ -49,6 +43,9 @@ finish() {
 }
 trap finish EXIT
 
+reason=$(why_no_guest)
+[[ -z $reason ]] || { echo "run.sh: skipped: $reason"; exit 0; }
+[[ -n $package ]] || package=$(./package.sh | tail -1)
 $here/guest_image.sh "$package" "$guest"
 new_disk
 start_guest

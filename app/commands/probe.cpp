@@ -1,0 +1,132 @@
+// lcdm probe: which cameras are there, and what can each do?
+#include <cstdio>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "app/commands/commands.h"
+#include "app/exit_code.h"
+#ifdef LCDM_LIBCAMERA
+#include "drivers/libcamera_camera.h"
+#endif
+#include "drivers/v4l2_device.h"
+#include "drivers/v4l2_formats.h"
+#include "drivers/v4l2_nodes.h"
+
+namespace lcdm {
+namespace {
+
+struct Probed {
+  V4l2Node node;
+  std::vector<V4l2Mode> modes;  // empty where the node is not usable
+};
+
+std::vector<Probed> probe_v4l2() {
+  std::vector<Probed> found;
+  for (V4l2Node& node : list_v4l2_nodes()) {
+    Probed probed{std::move(node), {}};
+    V4l2Device device;
+    if (probed.node.usable && device.open(probed.node.path)) probed.modes = list_modes(device);
+    found.push_back(std::move(probed));
+  }
+  return found;
+}
+
+std::vector<std::string> probe_libcamera() {
+#ifdef LCDM_LIBCAMERA
+  return list_libcamera_cameras();
+#else
+  return {};
+#endif
+}
+
+// "640x480", or "16x16 to 4096x2160".
+std::string size_text(const V4l2Mode& mode) {
+  if (mode.width == 0) return "any size";
+  std::string text = std::to_string(mode.width) + "x" + std::to_string(mode.height);
+  if (mode.max_width != mode.width || mode.max_height != mode.height) {
+    text += " to " + std::to_string(mode.max_width) + "x" + std::to_string(mode.max_height);
+  }
+  return text;
+}
+
+void print_mode(const V4l2Mode& mode) {
+  std::printf("    %-5s %-12s", fourcc_text(mode.fourcc).c_str(), size_text(mode).c_str());
+  for (const float rate : mode.rates) std::printf(" %g", static_cast<double>(rate));
+  std::printf("%s%s\n", mode.rates.empty() ? "" : " frames/s",
+              pixel_format_of(mode.fourcc) ? "" : " (not read by lcdm)");
+}
+
+void print_node(const Probed& probed) {
+  const V4l2Node& node = probed.node;
+  if (!node.usable) {
+    std::printf("%s\n    not usable: %s\n", node.path.c_str(), node.reason.c_str());
+    return;
+  }
+  std::printf("%s  %s\n    driver %s, at %s", node.path.c_str(), node.card.c_str(),
+              node.driver.c_str(), node.bus.c_str());
+  if (node.usb_mbps > 0) {
+    std::printf(", USB at %g Mb/s (made for USB %g)", static_cast<double>(node.usb_mbps),
+                static_cast<double>(node.usb_version));
+  }
+  std::printf("\n    --source 'v4l2:%s'\n", node.serial.empty()
+                                                ? ("name=" + node.card).c_str()
+                                                : ("serial=" + node.serial).c_str());
+  for (const V4l2Mode& mode : probed.modes) print_mode(mode);
+}
+
+nlohmann::json mode_json(const V4l2Mode& mode) {
+  return {{"format", fourcc_text(mode.fourcc)},
+          {"readable", pixel_format_of(mode.fourcc).has_value()},
+          {"width", mode.width},
+          {"height", mode.height},
+          {"max_width", mode.max_width},
+          {"max_height", mode.max_height},
+          {"frames_per_second", mode.rates}};
+}
+
+nlohmann::json node_json(const Probed& probed) {
+  const V4l2Node& node = probed.node;
+  nlohmann::json json = {{"path", node.path},
+                         {"card", node.card},
+                         {"driver", node.driver},
+                         {"bus", node.bus},
+                         {"serial", node.serial},
+                         {"usb", node.usb},
+                         {"usb_mbps", node.usb_mbps},
+                         {"usb_version", node.usb_version},
+                         {"usable", node.usable},
+                         {"reason", node.reason},
+                         {"modes", nlohmann::json::array()}};
+  for (const V4l2Mode& mode : probed.modes) json["modes"].push_back(mode_json(mode));
+  return json;
+}
+
+int probe(bool as_json) {
+  const std::vector<Probed> nodes = probe_v4l2();
+  const std::vector<std::string> ids = probe_libcamera();
+  if (as_json) {
+    nlohmann::json json = {{"v4l2", nlohmann::json::array()}, {"libcamera", ids}};
+    for (const Probed& probed : nodes) json["v4l2"].push_back(node_json(probed));
+    // Names of cameras may hold bytes that are no UTF-8: they are replaced.
+    std::printf("%s\n", json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace).c_str());
+    return kExitOk;
+  }
+  for (const Probed& probed : nodes) print_node(probed);
+  for (const std::string& id : ids) std::printf("--source 'libcamera:%s'\n", id.c_str());
+  if (nodes.empty() && ids.empty()) std::printf("no camera found (no /dev/video*)\n");
+  return kExitOk;
+}
+
+}  // namespace
+
+void add_probe_command(CLI::App& program, int& exit_code) {
+  auto as_json = std::make_shared<bool>(false);
+  CLI::App* command = program.add_subcommand(
+      "probe", "The cameras that are there: formats, sizes, rates, bus speed");
+  command->add_flag("--json", *as_json, "As JSON");
+  command->callback([as_json, &exit_code] { exit_code = probe(*as_json); });
+}
+
+}  // namespace lcdm

@@ -1,0 +1,313 @@
+#include "app/doctor.h"
+
+#include <algorithm>
+#include <arpa/inet.h>
+#include <cerrno>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <netinet/in.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+#include <sys/statvfs.h>
+#include <sys/timex.h>
+#include <system_error>
+#include <unistd.h>
+
+#include "app/common_options.h"
+#include "drivers/v4l2_device.h"
+
+namespace lcdm {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::uint64_t kMiB = 1U << 20;
+
+Finding well(const char* subject, std::string text) {
+  return {Severity::kOk, subject, std::move(text)};
+}
+Finding warning(const char* subject, std::string text) {
+  return {Severity::kWarning, subject, std::move(text)};
+}
+Finding fault(const char* subject, std::string text) {
+  return {Severity::kFault, subject, std::move(text)};
+}
+
+std::string number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof(text), "%g", value);
+  return text;
+}
+
+std::string first_line(const fs::path& file) {
+  std::ifstream stream(file);
+  std::string line;
+  std::getline(stream, line);
+  return line;
+}
+
+bool is_camera_source(const std::string& source) {
+  return source == "auto" || source.rfind("v4l2:", 0) == 0 || source.rfind("libcamera:", 0) == 0;
+}
+
+// A camera on a slower bus than it could use: no rate, or only compressed frames.
+Finding check_bus(const V4l2Node& node) {
+  const std::string name = node.path + " (" + node.card + ")";
+  if (node.usb_mbps == 0) return well("camera", name + ": not on USB, driver " + node.driver);
+  const std::string speed =
+      name + ": USB at " + number(static_cast<double>(node.usb_mbps)) + " Mb/s";
+  if (node.usb_mbps < 480) {
+    return warning("camera", speed + ", too slow for video: use a USB 2 or 3 port and cable");
+  }
+  if (node.usb_version >= 3 && node.usb_mbps < 5000) {
+    return warning("camera", speed + ", though it is made for USB " +
+                                 number(static_cast<double>(node.usb_version)) +
+                                 ": use a blue port and a USB 3 cable");
+  }
+  return well("camera", speed);
+}
+
+// The node that the configuration's source means now; empty: none.
+std::string configured_node(const std::string& source, const std::vector<V4l2Node>& nodes) {
+  if (source.rfind("v4l2:", 0) == 0) {
+    const Result<std::string> found = find_v4l2_node(source.substr(5));
+    return found ? *found : "";
+  }
+  if (source != "auto") return "";
+  const auto first =
+      std::find_if(nodes.begin(), nodes.end(), [](const V4l2Node& node) { return node.usable; });
+  return first == nodes.end() ? "" : first->path;
+}
+
+bool clock_is_synchronised() {
+  timex state{};
+  return adjtimex(&state) != TIME_ERROR && (state.status & STA_UNSYNC) == 0;
+}
+
+std::uint64_t memory_lock_limit() {
+  rlimit limit{};
+  getrlimit(RLIMIT_MEMLOCK, &limit);
+  return limit.rlim_cur;
+}
+
+}  // namespace
+
+const char* to_string(Severity severity) {
+  switch (severity) {
+    case Severity::kOk:
+      return "ok";
+    case Severity::kWarning:
+      return "warning";
+    case Severity::kFault:
+      return "fault";
+  }
+  return "unknown";
+}
+
+std::vector<Finding> examine(const Config& config, const std::string& root) {
+  const std::vector<V4l2Node> nodes = list_v4l2_nodes();
+  std::vector<Finding> findings = check_cameras(nodes, config.camera.source);
+  V4l2Device device;
+  const std::string node = configured_node(config.camera.source, nodes);
+  if (!node.empty() && device.open(node)) {
+    findings.push_back(check_rate(list_modes(device), capture_request(config)));
+  }
+  std::uint64_t engine_bytes = 0;
+  findings.push_back(check_model(config, engine_bytes));
+  findings.push_back(check_memory_lock(root, memory_lock_limit(), engine_bytes));
+  findings.push_back(check_disk(config.record.directory, config.record.keep_free_megabytes));
+  findings.push_back(check_port(config.http.listen, config.http.port));
+  findings.push_back(check_clock(clock_is_synchronised()));
+  findings.push_back(check_hardware_watchdog(root));
+  findings.push_back(check_service(root));
+  findings.push_back(check_gpio(root));
+  return findings;
+}
+
+std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std::string& source) {
+  std::vector<Finding> findings;
+  const bool usable =
+      std::any_of(nodes.begin(), nodes.end(), [](const V4l2Node& node) { return node.usable; });
+  for (const V4l2Node& node : nodes) {
+    if (node.usable) {
+      findings.push_back(check_bus(node));
+    } else if (!usable) {  // beside a camera that works, its metadata node is no news
+      findings.push_back(warning("camera", node.reason));
+    }
+  }
+  if (source.rfind("v4l2:", 0) == 0) {
+    const Result<std::string> node = find_v4l2_node(source.substr(5));
+    V4l2Device device;
+    const Status opened = node ? device.open(*node) : node.status();
+    if (!opened) findings.push_back(fault("camera", opened.text()));
+  } else if (source == "auto" && !usable) {
+    findings.push_back(
+        warning("camera", "auto finds none and shows the rendered scene: plug one in"));
+  } else if (!is_camera_source(source)) {
+    findings.push_back(well("camera", source + ": needs none"));
+  }
+  return findings;
+}
+
+Finding check_rate(const std::vector<V4l2Mode>& modes, const CaptureRequest& request) {
+  const auto choice = choose_mode(modes, request);
+  if (!choice) return fault("rate", "the camera offers no format that lcdm reads");
+  float best = 0;
+  for (const V4l2Mode& mode : modes) {
+    const bool chosen = mode.fourcc == choice->fourcc && mode.width <= choice->width &&
+                        choice->width <= mode.max_width && mode.height <= choice->height &&
+                        choice->height <= mode.max_height;
+    if (chosen)
+      for (const float rate : mode.rates) best = std::max(best, rate);
+  }
+  const std::string mode = std::string(to_string(choice->pixel)) + " " +
+                           std::to_string(choice->width) + "x" + std::to_string(choice->height);
+  if (best == 0) return well("rate", mode + ": the driver lists no rates");
+  const std::string rate = mode + " at " + number(static_cast<double>(best)) + " frames/s";
+  if (best < 0.95F * request.frames_per_second) {
+    return warning("rate", rate + ", " + number(static_cast<double>(request.frames_per_second)) +
+                               " are wanted: set a smaller camera.width and height (`lcdm probe`), "
+                               "or a lower camera.frames_per_second");
+  }
+  return well("rate", rate);
+}
+
+Finding check_model(const Config& config, std::uint64_t& engine_bytes) {
+  const Result<ModelFile> file = load_model(config);
+  if (!file) return fault("model", file.status().text());
+  const CaptureRequest request = capture_request(config);
+  const FrameFormat format{PixelFormat::kRgb24, request.width, request.height, request.width * 3};
+  const auto engine = Engine::prepare(
+      *file, engine_options(config), format,
+      CameraModel::from_field_of_view(format.width, format.height, request.assumed_field_of_view));
+  if (!engine) return fault("model", engine.status().text());
+  const EngineStats stats = (*engine)->stats();
+  engine_bytes = stats.arena_bytes + stats.weight_bytes;
+  return well("model", stats.model_name + " at " + std::to_string(stats.width) + "x" +
+                           std::to_string(stats.height) + ", " +
+                           std::to_string(engine_bytes / kMiB) + " MiB");
+}
+
+// Memory that was swapped out comes back too late for a frame.
+Finding check_memory_lock(const std::string& root, std::uint64_t limit_bytes,
+                          std::uint64_t engine_bytes) {
+  if (limit_bytes >= engine_bytes) return well("memory", "the engine's memory may be locked");
+  std::ifstream swaps(root + "/proc/swaps");
+  std::string header;
+  std::string first;
+  std::getline(swaps, header);
+  std::getline(swaps, first);
+  if (first.empty()) return well("memory", "there is no swap that could slow the engine");
+  return warning("memory", "only " + std::to_string(limit_bytes / kMiB) + " MiB may be locked of " +
+                               std::to_string(engine_bytes / kMiB) +
+                               " MiB, and there is swap: LimitMEMLOCK=infinity in the unit, or "
+                               "`swapoff -a`");
+}
+
+Finding check_disk(const std::string& directory, int keep_free_megabytes) {
+  std::error_code error;
+  fs::path existing = fs::absolute(directory, error);
+  while (!fs::exists(existing, error) && existing.has_relative_path()) {
+    existing = existing.parent_path();
+  }
+  struct statvfs disk {};
+  if (statvfs(existing.c_str(), &disk) != 0 || access(existing.c_str(), W_OK) != 0) {
+    return warning("disk", existing.string() + ": no recording possible (" +
+                               std::generic_category().message(errno) +
+                               "): set record.directory to a folder this user may write");
+  }
+  const std::uint64_t free_mb = std::uint64_t{disk.f_bavail} * disk.f_frsize / 1'000'000;
+  const std::string text = existing.string() + ": " + std::to_string(free_mb) + " MB free";
+  if (free_mb <= static_cast<std::uint64_t>(keep_free_megabytes)) {
+    return warning("disk", text + ", recording keeps " + std::to_string(keep_free_megabytes) +
+                               " MB free: delete old recordings or set record.directory");
+  }
+  return well("disk", text);
+}
+
+Finding check_port(const std::string& listen, int port) {
+  sockaddr_in six_or_four{};
+  sockaddr_in6 six{};
+  six_or_four.sin_family = AF_INET;
+  six_or_four.sin_port = htons(static_cast<std::uint16_t>(port));
+  six.sin6_family = AF_INET6;
+  six.sin6_port = htons(static_cast<std::uint16_t>(port));
+  const bool four = inet_pton(AF_INET, listen.c_str(), &six_or_four.sin_addr) == 1;
+  if (!four) inet_pton(AF_INET6, listen.c_str(), &six.sin6_addr);
+  const auto* address = four ? reinterpret_cast<const sockaddr*>(&six_or_four)
+                             : reinterpret_cast<const sockaddr*>(&six);
+  const int fd = socket(four ? AF_INET : AF_INET6, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  const int yes = 1;
+  setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof(yes));
+  const int error = bind(fd, address, four ? sizeof(six_or_four) : sizeof(six)) == 0 ? 0 : errno;
+  if (fd >= 0) close(fd);
+  const std::string place = listen + ":" + std::to_string(port);
+  if (error == EADDRINUSE) {
+    return warning("port", place +
+                               " is in use: by lcdm itself if it runs, else choose another "
+                               "http.port");
+  }
+  if (error != 0) {
+    return fault("port", place + ": " + std::generic_category().message(error) +
+                             ": choose another http.listen or http.port");
+  }
+  return well("port", place + " is free");
+}
+
+Finding check_clock(bool synchronised) {
+  if (synchronised) return well("clock", "synchronised");
+  return warning(
+      "clock",
+      "not synchronised: recordings carry a wrong time of day: `timedatectl set-ntp true`");
+}
+
+Finding check_hardware_watchdog(const std::string& root) {
+  const fs::path folder = root + "/sys/class/watchdog/watchdog0";
+  std::error_code error;
+  if (!fs::exists(folder, error)) {
+    return warning("watchdog",
+                   "this machine has none: a kernel that crashes stays down; load the "
+                   "board's watchdog module");
+  }
+  const std::string identity = first_line(folder / "identity");
+  if (first_line(folder / "state") != "active") {
+    return warning("watchdog", identity +
+                                   " is idle: RuntimeWatchdogSec=10 in /etc/systemd/"
+                                   "system.conf.d/lcdm.conf, then `systemctl daemon-reexec`");
+  }
+  return well("watchdog", identity + " is active");
+}
+
+Finding check_service(const std::string& root) {
+  std::error_code error;
+  for (const char* folder : {"/etc/systemd/system", "/lib/systemd/system"}) {
+    const fs::path unit = root + folder + "/lcdm.service";
+    if (!fs::exists(unit, error)) continue;
+    std::ifstream file(unit);
+    for (std::string line; std::getline(file, line);) {
+      if (line.rfind("WatchdogSec=", 0) == 0) return well("service", unit.string() + ", " + line);
+    }
+    return warning("service", unit.string() +
+                                  ": WatchdogSec= is missing: a program that hangs is "
+                                  "not restarted; install the package's unit");
+  }
+  return warning("service", "not installed: nothing starts lcdm at boot: install the package");
+}
+
+Finding check_gpio(const std::string& root) {
+  std::error_code error;
+  std::string chips;
+  for (const auto& entry : fs::directory_iterator(root + "/dev", error)) {
+    const std::string name = entry.path().filename().string();
+    if (name.rfind("gpiochip", 0) != 0) continue;
+    if (access(entry.path().c_str(), R_OK | W_OK) != 0) {
+      return warning("gpio", "/dev/" + name + ": no permission: add this user to the group gpio");
+    }
+    chips += (chips.empty() ? "/dev/" : ", /dev/") + name;
+  }
+  if (chips.empty()) return warning("gpio", "this machine has none: no lamps and no button");
+  return well("gpio", chips);
+}
+
+}  // namespace lcdm

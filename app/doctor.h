@@ -1,0 +1,46 @@
+// What could keep this machine from being a camera: each finding one line with its cure.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "app/config.h"
+#include "drivers/v4l2_formats.h"
+#include "drivers/v4l2_nodes.h"
+
+namespace lcdm {
+
+enum class Severity {
+  kOk,
+  kWarning,  // depth comes, but less, or less safely
+  kFault,    // no depth until it is mended
+};
+
+const char* to_string(Severity severity);
+
+struct Finding {
+  Severity severity = Severity::kOk;
+  std::string subject;  // what was looked at, one word
+  std::string text;     // what was found; where it is not well, with its cure
+};
+
+// The whole examination. `root` stands before every path of the system's own (/sys, /proc, /etc,
+// /dev/gpiochip*), so that tests can bring another; empty: this machine. Takes the time of
+// preparing an engine.
+std::vector<Finding> examine(const Config& config, const std::string& root);
+
+// The single looks, in the order in which `examine` takes them.
+std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std::string& source);
+Finding check_rate(const std::vector<V4l2Mode>& modes, const CaptureRequest& request);
+Finding check_model(const Config& config, std::uint64_t& engine_bytes);
+Finding check_memory_lock(const std::string& root, std::uint64_t limit_bytes,
+                          std::uint64_t engine_bytes);
+Finding check_disk(const std::string& directory, int keep_free_megabytes);
+Finding check_port(const std::string& listen, int port);
+Finding check_clock(bool synchronised);
+Finding check_hardware_watchdog(const std::string& root);
+Finding check_service(const std::string& root);
+Finding check_gpio(const std::string& root);
+
+}  // namespace lcdm
