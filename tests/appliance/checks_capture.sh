@@ -14,7 +14,7 @@ rises() { (($(status "$1") > $2)); }
 
 camera_arrives() {
   on_guest modprobe vivid >&2
-  within 60 depth_flows
+  within 120 depth_flows
 }
 
 # 16 bits, grey, and a size that the status says; its picture stays for people to look at.

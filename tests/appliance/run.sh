@@ -59,7 +59,7 @@ check 'depth as a 16-bit picture' depth_picture
 check 'frame with the error flag' broken_frame
 check 'frames lost' lost_frames
 check 'fatal streaming error' recovers stream_restarts inject_fatal_streaming_error
-check 'camera disconnected' recovers reopenings disconnect
+check 'camera disconnected' recovers device_waits disconnect
 check 'camera unplugged for seconds' camera_unplugged
 check 'control from outside needs the token' control_is_refused
 check 'inference stalls: systemd watchdog' watchdog_restarts

@@ -71,7 +71,7 @@ RANDOM=${SEED:-$((SRANDOM % 32768))}
 $here/guest_image.sh "$package" "$guest"
 new_disk
 start_guest
-wait_guest 300 && package_installs >/dev/null && camera_arrives
+wait_guest 600 && package_installs >/dev/null && camera_arrives
 pid=$(on_guest systemctl show lcdm -p MainPID --value)
 
 # Each kind once before the first look: what is made at first use is no leak.
