@@ -69,3 +69,13 @@ camera_unplugged() {
   within 30 depth_flows >&2 || return
   echo "$(seconds "$(elapsed_ms "$begin")") after it is back"
 }
+
+# The other kind of queue: the same driver, loaded again.
+several_planes() {
+  on_guest 'echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind' >&2
+  within 30 state_is 'waiting for camera' >&2 || return
+  on_guest 'modprobe -r vivid && modprobe vivid multiplanar=2' >&2 || return
+  within 60 depth_flows >&2 || return
+  on_guest v4l2-ctl -d /dev/video0 -D | grep -q 'Video Capture Multiplanar' || return
+  status .source.description
+}

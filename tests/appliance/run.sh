@@ -61,6 +61,7 @@ check 'frames lost' lost_frames
 check 'fatal streaming error' recovers stream_restarts inject_fatal_streaming_error
 check 'camera disconnected' recovers device_waits disconnect
 check 'camera unplugged for seconds' camera_unplugged
+check 'multi-planar camera' several_planes
 check 'control from outside needs the token' control_is_refused
 check 'inference stalls: systemd watchdog' watchdog_restarts
 check 'kernel crashes: hardware watchdog' hardware_watchdog_resets
