@@ -62,6 +62,10 @@ run_subset() {
   local program
   for program in "${sanitizer_subset[@]}"; do "build/$1/bin/$program" --gtest_brief=1 || return; done
 }
+# Of what is built already.
+make_package() {
+  package=$(./package.sh --preset trainer | tail -1) && echo "$package"
+}
 check_format() {
   git ls-files '*.h' '*.cpp' | xargs clang-format --dry-run --Werror
 }
@@ -91,14 +95,19 @@ run_arm64() {
   done
 }
 
-stage 'install' systemd/install-packages.sh run test train
+stage 'install' systemd/install-packages.sh run package test train
 stage 'npm packages' npm_packages
 stage 'format' check_format
 stage 'release build, with trainer' build trainer
 stage 'tests' run_tests trainer
+stage 'package' make_package
+stage 'package test' tests/appliance/package_test.sh "$package"
+stage 'booted guest' tests/appliance/run.sh --package "$package"
+stage 'booted guest, soak' tests/appliance/soak.sh 2 --package "$package"
 stage 'sanitizer subset, build' build_subset asan
 stage 'sanitizer subset, tests' run_subset asan
 if $all; then
+  stage 'booted guest, everything' tests/appliance/run.sh --all --package "$package"
   stage 'address sanitizer build' build asan
   stage 'address sanitizer tests' run_tests asan -LE browser
   stage 'thread sanitizer build' build tsan

@@ -2,6 +2,7 @@
 # Installs the Debian packages that a group of tasks needs, from the machine's own package sources.
 #
 #   systemd/install-packages.sh run          build and run lcdm (all a board needs)
+#   systemd/install-packages.sh package      make a .deb of it
 #   systemd/install-packages.sh test         run the tests and checks
 #   systemd/install-packages.sh train        build lcdm-train (LibTorch; about 200 MB)
 #
@@ -15,13 +16,15 @@ run=(
   nlohmann-json3-dev libudev-dev libsystemd-dev libgpiod-dev
 )
 run_optional=(libcamera-dev)  # left out where the distribution has none
+package=(debhelper)
 test=(
   libgtest-dev libgmock-dev libumockdev-dev umockdev clang-format clang-tidy chromium
   fonts-dejavu-core git nodejs npm opencv-doc g++-11
+  lintian mmdebstrap e2fsprogs openssh-client qemu-system-x86 qemu-utils curl jq
 )
 train=(libtorch-dev libopenblas0-pthread libgloo-dev libmatio-dev libhdf5-dev python3-torch)
 
-usage() { sed -n '2,9s/^# \{0,1\}//p' "$0"; }
+usage() { sed -n '2,10s/^# \{0,1\}//p' "$0"; }
 
 packages=()
 optional=()
@@ -29,10 +32,11 @@ optional=()
 for group in "$@"; do
   case $group in
     run) packages+=("${run[@]}"); optional+=("${run_optional[@]}") ;;
+    package) packages+=("${package[@]}") ;;
     test) packages+=("${test[@]}") ;;
     train) packages+=("${train[@]}") ;;
     -h | --help) usage; exit 0 ;;
-    *) echo "install-packages: unknown group '$group': use run, test or train" >&2; exit 2 ;;
+    *) echo "install-packages: unknown group '$group': use run, package, test or train" >&2; exit 2 ;;
   esac
 done
 

@@ -151,8 +151,8 @@ class Pipeline {
   Status engine_status_;                        // infer thread; why there is none
   std::int64_t rest_until_ns_ = 0;              // infer thread
   std::atomic<std::int64_t> last_depth_ns_{0};  // written by the infer thread
-  std::atomic<bool> only_corrupt_{
-      false};  // set by infer, taken by capture: no frame can be decoded
+  // Set by infer, taken by capture: no frame can be decoded.
+  std::atomic<bool> only_corrupt_{false};
   std::vector<std::uint16_t> millimetres_;  // infer thread; [height * width] of depth
   FrameFormat prepared_format_;             // infer thread; the camera's, before decoding
   CameraModel prepared_model_;              // infer thread

@@ -1,0 +1,123 @@
+# What hangs on the board: GPIO lines, the USB cable, cameras behind libcamera. Sourced by run.sh.
+
+# set_service NAME=VALUE...: more of the service's environment, in force after a restart.
+set_service() {
+  {
+    echo '[Service]'
+    printf 'Environment="%s"\n' "$@"
+  } | on_guest 'cat >/etc/systemd/system/lcdm.service.d/more.conf && systemctl daemon-reload &&
+    systemctl restart lcdm' >&2
+}
+
+# Drivers that Debian does not build.
+board_modules() {
+  local folder
+  tests/appliance/guest_modules.sh "$guest" >&2 || return
+  folder=$(ls -d "$guest"/modules-*)
+  on_guest 'mkdir -p "/lib/modules/$(uname -r)/extra"' || return
+  on_guest "tar -x -C /lib/modules/${folder##*modules-}/extra" < <(tar -c -C "$folder" .) || return
+  on_guest depmod
+}
+
+gpio_chip=/sys/kernel/config/gpio-sim/board
+gpio_set_up() {
+  on_guest "modprobe gpio-sim && mkdir -p $gpio_chip/bank/line{0,1,2} && cd $gpio_chip &&
+    echo 3 >bank/num_lines && echo lcdm-light >bank/line0/name && echo lcdm-button >bank/line1/name &&
+    echo lcdm-heartbeat >bank/line2/name && echo 1 >live" >&2 || return
+  gpio=$(on_guest "echo /sys/devices/platform/\$(cat $gpio_chip/dev_name)/\$(cat $gpio_chip/bank/chip_name)")
+  set_service LCDM_GPIO_LIGHT=lcdm-light LCDM_GPIO_BUTTON=lcdm-button \
+    LCDM_GPIO_HEARTBEAT=lcdm-heartbeat
+  within 60 depth_flows
+}
+
+# line_samples LINE: its level, 60 times in 3 s.
+line_samples() {
+  on_guest "for i in \$(seq 60); do cat $gpio/sim_gpio$1/value; sleep 0.05; done | tr -d '\n'"
+}
+press_button() {
+  on_guest "echo pull-up >$gpio/sim_gpio1/pull; sleep $1; echo pull-down >$gpio/sim_gpio1/pull"
+}
+
+# Streaming is steady, waiting for a camera a flash every two seconds; unlit when the service ends.
+gpio_light() {
+  local streaming waiting stopped
+  streaming=$(line_samples 0)
+  on_guest 'echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind'
+  within 20 state_is 'waiting for camera' >&2 || return
+  waiting=$(line_samples 0)
+  on_guest 'echo vivid.0 >/sys/bus/platform/drivers/vivid/bind'
+  on_guest systemctl stop lcdm
+  stopped=$(line_samples 0)
+  on_guest systemctl start lcdm
+  echo "lit of 60 looks: streaming $(ones "$streaming"), waiting $(ones "$waiting"), stopped $(ones "$stopped")"
+  within 60 depth_flows >&2 || return
+  (($(ones "$streaming") == 60 && $(ones "$stopped") == 0)) &&
+    (($(ones "$waiting") > 0 && $(ones "$waiting") < 20))
+}
+ones() { tr -cd 1 <<<"$1" | wc -c; }
+
+gpio_heartbeat() {
+  local levels
+  levels=$(line_samples 2)
+  echo "high in $(ones "$levels") of 60 looks"
+  (($(ones "$levels") > 10 && $(ones "$levels") < 50))
+}
+
+recording_is() { [[ $(status .recording.on) == "$1" ]]; }
+gpio_button() {
+  press_button 0.4
+  within 10 recording_is true >&2 || return
+  press_button 0.4
+  within 10 recording_is false
+}
+
+# Held for 3 s: the machine powers itself off.
+gpio_power_off() {
+  local begin=$EPOCHREALTIME
+  press_button 4 || true
+  within 90 guest_is_off >&2 || return
+  hang_up
+  seconds "$(elapsed_ms "$begin")"
+}
+guest_is_off() { ! kill -0 "$guest_pid" 2>/dev/null; }
+
+# The host's end of the cable is a network name space of the same guest.
+host_end='ip netns exec host'
+usb_network() {
+  on_guest 'modprobe dummy_hcd && modprobe cdc_ncm && systemctl start lcdm-usb' >&2 || return
+  usb_host_gets_address >&2 || return
+  on_guest "$host_end curl -sf --max-time 20 http://192.168.58.1:8080/healthz" >&2 || return
+  on_guest "$host_end ip -4 -o address show dev cable | grep -o '192[0-9.]*/24'"
+}
+usb_host_gets_address() {
+  on_guest 'for i in $(seq 60); do
+      link=$(ip -o link | sed -n "s/^[0-9]*: \([^:]*\):.*02:1c:d3:00:00:02.*/\1/p")
+      [ -z "$link" ] || break; sleep 0.5
+    done
+    ip netns add host 2>/dev/null; ip link set "$link" down; ip link set "$link" name cable netns host &&
+      ip -n host link set cable up && ip netns exec host udhcpc -i cable -n -q -t 20 -T 2'
+}
+usb_control_is_refused() {
+  local code
+  code=$(on_guest "$host_end curl -s -o /dev/null -w '%{http_code}' --max-time 20 -X POST http://192.168.58.1:8080/record/start")
+  echo "POST /record/start over the cable: $code"
+  [[ $code == 401 || $code == 403 ]]
+}
+# Down leaves nothing, twice is no mistake, and up makes it anew.
+usb_down_and_up() {
+  on_guest 'systemctl stop lcdm-usb && ! ls -d /sys/kernel/config/usb_gadget/lcdm &&
+    /usr/libexec/lcdm/usb-gadget down && systemctl start lcdm-usb &&
+    /usr/libexec/lcdm/usb-gadget up' >&2 || return
+  usb_host_gets_address >&2 || return
+  on_guest "$host_end curl -sf --max-time 20 http://192.168.58.1:8080/healthz" >&2
+}
+
+libcamera_streams() {
+  local id
+  on_guest 'modprobe vimc' >&2 || return
+  id=$(on_guest 'cam -l 2>/dev/null' | sed -n 's/^[0-9]*: .*(\(.*\)).*/\1/p' | head -1)
+  [[ -n $id ]] || return
+  set_service "LCDM_CAMERA_SOURCE=libcamera:$id"
+  within 90 depth_flows >&2 || return
+  status .source.description
+}

@@ -1,0 +1,81 @@
+# Cameras that come, go and misbehave, as the kernel's driver `vivid` plays them. Sourced by run.sh.
+
+inferred() { status .frames.inferred; }
+depth_flows() {
+  local before now
+  before=$(inferred) && sleep 0.5 && now=$(inferred) && ((now > before))
+}
+
+# vivid NAME=VALUE: one of the driver's controls; buttons take 1.
+vivid() { on_guest v4l2-ctl -d /dev/video0 -c "$1" >&2; }
+
+# rises COUNTER BEFORE: whether that number of the status is above what it was.
+rises() { (($(status "$1") > $2)); }
+
+camera_arrives() {
+  on_guest modprobe vivid >&2
+  within 120 depth_flows
+}
+
+# 16 bits, grey, and a size that the status says; its picture stays for people to look at.
+depth_picture() {
+  local file=build/appliance/depth.png header
+  curl -sf --max-time 20 -o "$file" "$web/depth.png" || return
+  header=$(od -An -v -tx1 -j16 -N10 "$file" | tr -d ' \n')
+  [[ $header == "$(printf '%08x%08x1000' "$(status .depth.width)" "$(status .depth.height)")" ]] ||
+    return
+  echo "$(status .source.description), $(stat -c %s "$file") bytes in $file"
+}
+
+# A frame marked as broken is left out and counted; nothing else happens.
+broken_frame() {
+  local before reopened
+  before=$(status .frames.corrupt) reopened=$(status .frames.reopened)
+  vivid inject_v4l2_buf_flag_error=1
+  within 20 rises .frames.corrupt "$before" >&2 || return
+  within 20 depth_flows || return
+  (($(status .frames.reopened) == reopened))
+}
+
+# A third of the frames never comes: counted as gaps in the sequence.
+lost_frames() {
+  local before
+  before=$(status .frames.sequence_gaps)
+  vivid percentage_of_dropped_buffers=35
+  within 30 rises .frames.sequence_gaps "$before" >&2 || return
+  vivid percentage_of_dropped_buffers=0
+  within 20 depth_flows
+}
+
+# recovers COUNTER CONTROL: the fault is injected, the rung of the ladder counted, depth comes back.
+recovers() {
+  local before begin=$EPOCHREALTIME
+  before=$(status ".recovery.$1")
+  vivid "$2=1"
+  within 30 rises ".recovery.$1" "$before" >&2 || return
+  within 30 depth_flows >&2 || return
+  echo "$(seconds "$(elapsed_ms "$begin")"), recovery: $(status '.recovery | map_values(select(. > 0)) | tostring')"
+}
+
+# Pulled out for seconds: said, shown, waited for; plugged in again.
+camera_unplugged() {
+  local begin
+  on_guest 'echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind' >&2
+  within 20 state_is 'waiting for camera' >&2 || return
+  [[ $(http_code /depth.png) == 503 && $(http_code /healthz) == 503 ]] || return
+  sleep 3
+  on_guest 'echo vivid.0 >/sys/bus/platform/drivers/vivid/bind' >&2
+  begin=$EPOCHREALTIME
+  within 30 depth_flows >&2 || return
+  echo "$(seconds "$(elapsed_ms "$begin")") after it is back"
+}
+
+# The other kind of queue: the same driver, loaded again.
+several_planes() {
+  on_guest 'echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind' >&2
+  within 30 state_is 'waiting for camera' >&2 || return
+  on_guest 'modprobe -r vivid && modprobe vivid multiplanar=2' >&2 || return
+  within 60 depth_flows >&2 || return
+  on_guest v4l2-ctl -d /dev/video0 -D | grep -q 'Video Capture Multiplanar' || return
+  status .source.description
+}

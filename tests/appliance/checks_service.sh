@@ -1,0 +1,113 @@
+# What systemd, the package and the machine do. Sourced by run.sh.
+
+# Some 20 s on an idle machine; on one that is busy with other things, minutes.
+boots() { within 600 wait_guest 600; }
+
+# The service as the checks run it: a network small enough for an emulated processor. The camera is
+# named, so that it is waited for.
+configure_service() {
+  on_guest "mkdir -p /etc/systemd/system/lcdm.service.d
+    cat >/etc/systemd/system/lcdm.service.d/guest.conf" <<'END'
+[Service]
+Environment=LCDM_MODEL_WIDTH=64 LCDM_MODEL_HEIGHT=64
+Environment=LCDM_CAMERA_WIDTH=320 LCDM_CAMERA_HEIGHT=180 LCDM_CAMERA_FRAMES_PER_SECOND=5
+Environment=LCDM_CAMERA_SOURCE=v4l2:/dev/video0
+Environment=LCDM_HTTP_LISTEN=0.0.0.0
+END
+}
+
+# The unit is active only after READY=1, which without a camera is the declared wait.
+service_is_ready() { on_guest systemctl is-active --quiet lcdm; }
+state_is() { [[ $(status .device.state) == "$1" ]]; }
+
+package_installs() {
+  configure_service
+  to_guest "$package" /root/lcdm.deb
+  on_guest 'dpkg -i /root/lcdm.deb && systemctl is-enabled lcdm lcdm-poweroff.path' >&2 || return
+  within 90 service_is_ready
+}
+
+waits_without_camera() {
+  state_is 'waiting for camera' || return
+  [[ $(on_guest systemctl show lcdm -p NRestarts --value) == 0 ]] || return
+  [[ $(http_code /healthz) == 503 && $(http_code /depth.png) == 503 ]] || return
+  on_guest systemctl show lcdm -p StatusText --value
+}
+
+# Lower is better; a unit without any of it has 9.6.
+exposure() {
+  local score
+  on_guest 'systemd-analyze verify lcdm.service lcdm-poweroff.path lcdm-usb.service' >&2 || return
+  score=$(on_guest "systemd-analyze security lcdm --no-pager" | sed -n 's/.*level for .*: \([0-9.]*\).*/\1/p')
+  echo "$score"
+  [[ -n $score && ${score/./} -le 20 ]]
+}
+
+control_is_refused() {
+  local code
+  code=$(http_code /record/start -X POST)
+  echo "POST /record/start from another machine: $code"
+  [[ $code == 401 || $code == 403 ]]
+}
+
+# A process that stands still, as one whose inference hangs: systemd kills it and starts another.
+watchdog_restarts() {
+  local before after begin=$EPOCHREALTIME
+  before=$(on_guest systemctl show lcdm -p NRestarts --value)
+  on_guest systemctl kill -s STOP lcdm
+  within 60 service_was_restarted "$before" >&2 || return
+  within 60 depth_flows >&2 || return
+  on_guest journalctl -b -u lcdm | grep -q 'Watchdog timeout' || return
+  seconds "$(elapsed_ms "$begin")"
+}
+service_was_restarted() { (($(on_guest systemctl show lcdm -p NRestarts --value) > $1)); }
+
+# The kernel crashes and hangs: the machine is reset, boots, and depth flows again by itself.
+hardware_watchdog_resets() {
+  local boot begin
+  boot=$(boot_number)
+  on_guest 'echo vivid >/etc/modules-load.d/vivid.conf; sync; (sleep 1; echo c >/proc/sysrq-trigger) \
+    </dev/null >/dev/null 2>&1 &'
+  begin=$EPOCHREALTIME
+  hang_up
+  within 600 wait_guest 600 "$boot" >&2 || return
+  within 120 depth_flows >&2 || return
+  seconds "$(elapsed_ms "$begin")"
+}
+
+# By the guest's own clock, from the kernel's first moment.
+boot_to_depth() {
+  on_guest journalctl -b -u lcdm -o short-monotonic |
+    sed -n 's/^\[ *\([0-9]*\.[0-9]\).* streaming$/\1 s/p' | head -1 | grep .
+}
+
+# The plug is pulled while a recording is written; after the next boot it is complete up to the last
+# second.
+power_cut_keeps_recording() {
+  local file begin
+  on_guest 'curl -sf -X POST localhost:8080/record/start && sleep 8' >&2 || return
+  file=$(status .recording.file)
+  kill_guest
+  start_guest
+  begin=$EPOCHREALTIME
+  within 600 wait_guest 600 >&2 || return
+  within 120 depth_flows >&2 || return
+  on_guest "cat '/var/lib/lcdm/${file#/var/lib/lcdm/}'" >"$work/cut.mcap" || return
+  node tests/peers/read_mcap.mjs "$work/cut.mcap" --stream >"$work/cut.json" || return
+  echo "$(jq '.messages | length' "$work/cut.json") messages read; depth again $(seconds "$(elapsed_ms "$begin")")"
+  (($(jq '.messages | length' "$work/cut.json") > 0))
+}
+
+# The same version again is an upgrade to dpkg: the service is restarted and configuration kept.
+package_upgrades() {
+  on_guest 'echo "# mine" >>/etc/lcdm/lcdm.toml && dpkg -i /root/lcdm.deb &&
+    grep -q "# mine" /etc/lcdm/lcdm.toml' >&2 || return
+  within 90 depth_flows
+}
+
+package_purges() {
+  on_guest 'dpkg -r lcdm && ! systemctl is-active --quiet lcdm && test -e /etc/lcdm/lcdm.toml &&
+    test -d /var/lib/lcdm/recordings' >&2 || return
+  on_guest 'dpkg -P lcdm && ! ls -d /etc/lcdm /var/lib/lcdm /usr/share/lcdm /usr/bin/lcdm \
+    /etc/systemd/system/*.wants/lcdm* && systemctl --failed --quiet --no-legend | wc -l | grep -qx 0' >&2
+}

@@ -1,0 +1,85 @@
+# The guest: QEMU without KVM, reached by ssh and HTTP through forwarded loopback ports. Sourced.
+#
+# Its disk is an overlay over the image, so that every run begins with a machine that never booted.
+# $guest is the folder of image, kernel and key; $work that of this run.
+
+ssh_options=(
+  -i "$guest/key" -o UserKnownHostsFile=/dev/null -o StrictHostKeyChecking=no -o LogLevel=ERROR
+  -o ConnectTimeout=20 -o ServerAliveInterval=10 -o ServerAliveCountMax=6
+  -o ControlMaster=auto -o ControlPath="$work/ssh" -o ControlPersist=600
+)
+guest_pid=
+
+# Why no guest can be booted on this machine; nothing when one can.
+why_no_guest() {
+  local architecture tool
+  architecture=$(dpkg --print-architecture)
+  [[ $architecture == amd64 ]] || { echo "no guest for $architecture yet"; return; }
+  [[ $(. /etc/os-release && echo "$ID$VERSION_ID") == debian12 ]] || { echo 'the guest is a Debian 12'; return; }
+  for tool in qemu-system-x86_64 qemu-img mmdebstrap mke2fs ssh curl jq; do
+    command -v "$tool" >/dev/null || { echo "no $tool: systemd/install-packages.sh test"; return; }
+  done
+  [[ $(id -u) -eq 0 ]] || { echo 'making its disk needs root'; return; }
+}
+
+free_port() {
+  local port
+  while port=$((20000 + RANDOM % 20000)); do
+    (: <"/dev/tcp/127.0.0.1/$port") 2>/dev/null || { echo "$port"; return; }
+  done
+}
+
+# new_disk: a machine as it comes from the image.
+new_disk() {
+  qemu-img create -q -f qcow2 -b "$guest/disk.ext4" -F raw "$work/disk.qcow2"
+}
+
+# start_guest: power on. The console goes to $work/console.log.
+start_guest() {
+  ssh_port=$(free_port)
+  web_port=$(free_port)
+  web=http://127.0.0.1:$web_port
+  # A kernel that crashes hangs, as panic=0 says: what resets it is the watchdog.
+  qemu-system-x86_64 -M pc -accel tcg,thread=multi -cpu max -smp 2 -m 1536 -display none \
+    -serial "file:$work/console.log" -monitor none -kernel "$guest/vmlinuz" -initrd "$guest/initrd" \
+    -append "console=ttyS0 root=/dev/vda rw quiet panic=0 mitigations=off audit=0 apparmor=0" \
+    -drive "file=$work/disk.qcow2,if=virtio,cache=writeback" \
+    -device i6300esb -action watchdog=reset -device virtio-rng-pci \
+    -nic "user,model=virtio-net-pci,restrict=on,hostfwd=tcp:127.0.0.1:$ssh_port-:22,hostfwd=tcp:127.0.0.1:$web_port-:8080" \
+    </dev/null >"$work/qemu.log" 2>&1 &
+  guest_pid=$!
+}
+
+# on_guest COMMAND: runs it in the guest's shell as root.
+on_guest() { ssh "${ssh_options[@]}" -p "$ssh_port" root@127.0.0.1 "$@"; }
+to_guest() { scp -q "${ssh_options[@]}" -P "$ssh_port" "$1" "root@127.0.0.1:$2"; }
+
+# The connection shared by commands; after a reset there is nobody at its other end.
+hang_up() { ssh "${ssh_options[@]}" -O exit 127.0.0.1 >/dev/null 2>&1 || true; rm -f "$work/ssh"; }
+
+boot_number() { on_guest cat /proc/sys/kernel/random/boot_id; }
+
+# wait_guest SECONDS [NOT]: until the guest answers, in another boot than NOT.
+wait_guest() {
+  local end=$((SECONDS + $1)) boot
+  while ((SECONDS < end)); do
+    kill -0 "$guest_pid" 2>/dev/null || { cat "$work/qemu.log" >&2; return 1; }
+    boot=$(boot_number 2>/dev/null) && [[ $boot != "${2:-}" ]] && return
+    hang_up
+    sleep 1
+  done
+  return 1
+}
+
+# The plug is pulled.
+kill_guest() {
+  hang_up
+  [[ -z $guest_pid ]] || { kill -KILL "$guest_pid" && wait "$guest_pid"; } 2>/dev/null || true
+  guest_pid=
+}
+
+# status FILTER: something of the service's status, by a filter of jq; nothing when it is silent.
+status() { curl -sf --max-time 5 "$web/status.json" | jq -r "$1"; }
+
+# http_code PATH [OPTION...]: the number a request is answered with.
+http_code() { curl -s -o /dev/null --max-time 10 -w '%{http_code}' "$web$1" "${@:2}"; }

@@ -1,0 +1,84 @@
+#!/usr/bin/env bash
+# Boots a Debian under QEMU, installs our package in it and checks from outside and inside that it
+# streams depth from the kernel's own test drivers and comes back from every fault.
+#
+#   tests/appliance/run.sh           what continuous integration runs
+#   tests/appliance/run.sh --all     also what takes long or needs kernel modules built
+#     --package FILE                 this package (default: ./package.sh makes one)
+#     --keep                         leaves the guest running and says how to reach it
+#
+# Needs root for making the disk, not for running it. Everything is kept in build/appliance.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+
+all=false keep=false package=
+while [[ $# -gt 0 ]]; do
+  case $1 in
+    --all) all=true ;;
+    --keep) keep=true ;;
+    --package) package=${2:?"run.sh: --package wants a file"}; shift ;;
+    -h | --help) sed -n '2,10s/^# \{0,1\}//p' "$0"; exit 0 ;;
+    *) echo "run.sh: unknown option '$1': see tests/appliance/run.sh --help" >&2; exit 2 ;;
+  esac
+  shift
+done
+
+here=tests/appliance
+guest=$PWD/build/appliance/guest
+mkdir -p "$guest"
+work=$(mktemp -d "$PWD/build/appliance/run.XXXX")
+. $here/report.sh
+. $here/guest.sh
+. $here/checks_service.sh
+. $here/checks_capture.sh
+. $here/checks_board.sh
+
+finish() {
+  if $keep && [[ -n $guest_pid ]]; then
+    echo "guest (process $guest_pid): ssh ${ssh_options[*]} -p $ssh_port root@127.0.0.1; $web/"
+    return
+  fi
+  kill_guest
+  ((failures > 0)) || rm -rf "$work"
+}
+trap finish EXIT
+
+reason=$(why_no_guest)
+[[ -z $reason ]] || { echo "run.sh: skipped: $reason"; exit 0; }
+[[ -n $package ]] || package=$(./package.sh | tail -1)
+$here/guest_image.sh "$package" "$guest"
+new_disk
+start_guest
+check 'boots' boots
+((failures == 0)) || { tail -20 "$work/console.log"; exit 1; }
+check 'package installs, service is ready' package_installs
+check 'no camera at boot: a declared wait' waits_without_camera
+check 'exposure 2.0 or better' exposure
+check 'camera arrives after boot' camera_arrives
+check 'depth as a 16-bit picture' depth_picture
+check 'frame with the error flag' broken_frame
+check 'frames lost' lost_frames
+check 'fatal streaming error' recovers stream_restarts inject_fatal_streaming_error
+check 'camera disconnected' recovers device_waits disconnect
+check 'camera unplugged for seconds' camera_unplugged
+check 'multi-planar camera' several_planes
+check 'control from outside needs the token' control_is_refused
+check 'inference stalls: systemd watchdog' watchdog_restarts
+check 'kernel crashes: hardware watchdog' hardware_watchdog_resets
+check 'boot to first depth' boot_to_depth
+check 'power cut while recording' power_cut_keeps_recording
+if $all; then
+  check 'drivers for the board' board_modules
+  check 'GPIO: lines by name' gpio_set_up
+  check 'GPIO: light' gpio_light
+  check 'GPIO: heartbeat' gpio_heartbeat
+  check 'GPIO: button records' gpio_button
+  check 'USB: page over the cable' usb_network
+  check 'USB: control needs the token' usb_control_is_refused
+  check 'USB: down and up' usb_down_and_up
+  check 'libcamera: vimc' libcamera_streams
+fi
+check 'package upgrades' package_upgrades
+check 'package removes and purges' package_purges
+print_checks
+((failures == 0)) || { echo "logs: $work"; exit 1; }
