@@ -25,9 +25,12 @@ gpio_set_up() {
     echo 3 >bank/num_lines && echo lcdm-light >bank/line0/name && echo lcdm-button >bank/line1/name &&
     echo lcdm-heartbeat >bank/line2/name && echo 1 >live" >&2 || return
   gpio=$(on_guest "echo /sys/devices/platform/\$(cat $gpio_chip/dev_name)/\$(cat $gpio_chip/bank/chip_name)")
+  gpio_service
+  within 60 depth_flows
+}
+gpio_service() {
   set_service LCDM_GPIO_LIGHT=lcdm-light LCDM_GPIO_BUTTON=lcdm-button \
     LCDM_GPIO_HEARTBEAT=lcdm-heartbeat
-  within 60 depth_flows
 }
 
 # line_samples LINE: its level, 60 times in 3 s.
@@ -73,7 +76,10 @@ gpio_button() {
 
 # Held for 3 s: the machine powers itself off.
 gpio_power_off() {
-  local begin=$EPOCHREALTIME
+  local begin
+  gpio_service
+  within 60 depth_flows >&2 || return
+  begin=$EPOCHREALTIME
   press_button 4 || true
   within 90 guest_is_off >&2 || return
   hang_up
