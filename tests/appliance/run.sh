@@ -80,5 +80,9 @@ if $all; then
 fi
 check 'package upgrades' package_upgrades
 check 'package removes and purges' package_purges
+if $all; then
+  check 'package installs again' package_installs
+  check 'GPIO: button held powers off' gpio_power_off
+fi
 print_checks
 ((failures == 0)) || { echo "logs: $work"; exit 1; }
