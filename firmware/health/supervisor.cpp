@@ -121,8 +121,6 @@ Supervisor::Finding Supervisor::find(const Observation& seen) const {
     case PipelineState::kStarting:
     case PipelineState::kStopped:
       return {DeviceState::kBooting, "%s", seen.fault};
-    case PipelineState::kFault:
-      return {DeviceState::kFault, "%s", seen.fault};
     case PipelineState::kStreaming:
       break;
   }

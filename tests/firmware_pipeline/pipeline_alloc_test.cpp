@@ -40,7 +40,7 @@ TEST(PipelineAllocations, FiveHundredFramesOfTheSceneTakeNone) {
   SceneCamera camera(1);
   CountingSink sink;
   PipelineOptions options;
-  options.request = {96, 64, 400, 65};
+  options.request = {96, 64, 400, 65, {}};
   Pipeline pipeline(camera, test::tiny_engine(), nullptr, {&sink}, options);
   const Status status = pipeline.start();
   ASSERT_TRUE(status.is_ok()) << status.text();
