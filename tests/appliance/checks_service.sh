@@ -6,6 +6,9 @@ boots() { within 600 wait_guest 600; }
 # The service as the checks run it: a network small enough for an emulated processor. The camera is
 # named, so that it is waited for.
 configure_service() {
+  # A host busy with other things may leave an emulated processor standing for long.
+  on_guest 'mkdir -p /etc/systemd/system.conf.d
+    printf "[Manager]\nRuntimeWatchdogSec=40s\n" >/etc/systemd/system.conf.d/zz-guest.conf'
   on_guest "mkdir -p /etc/systemd/system/lcdm.service.d
     cat >/etc/systemd/system/lcdm.service.d/guest.conf" <<'END'
 [Service]
