@@ -147,8 +147,12 @@ void Service::announce_source() {
   const Pipeline::Source source = pipeline_.source();
   const EngineStats stats = pipeline_.engine().stats;
   std::printf("source  %s (%s)\n", source.info.uri.c_str(), source.info.description.c_str());
-  std::printf("model   %s, %dx%d, %d thread%s\n", stats.model_name.c_str(), stats.width,
-              stats.height, stats.threads, stats.threads == 1 ? "" : "s");
+  std::printf("model   %s, %dx%d, %d thread%s, %s\n", stats.model_name.c_str(), stats.width,
+              stats.height, stats.threads, stats.threads == 1 ? "" : "s",
+              to_string(stats.precision));
+  if (!stats.memory_locked) {
+    std::printf("warning: its memory may be swapped out (raise LimitMEMLOCK= or ulimit -l)\n");
+  }
 }
 
 }  // namespace lcdm

@@ -21,6 +21,7 @@ nlohmann::json model_json(const EngineStats& stats) {
           {"height", stats.height},
           {"threads", stats.threads},
           {"precision", to_string(stats.precision)},
+          {"memory_locked", stats.memory_locked},
           {"arena_bytes", stats.arena_bytes},
           {"weight_bytes", stats.weight_bytes}};
 }

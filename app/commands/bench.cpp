@@ -34,6 +34,7 @@ struct BenchOptions {
 struct BenchResult {
   std::vector<double> milliseconds;  // sorted
   double allocations_per_frame = 0;
+  double faults_per_frame = 0;  // page faults of this thread
   EngineStats stats;
   std::unique_ptr<Engine> engine;
   EngineProfile profile;
@@ -84,6 +85,7 @@ Result<BenchResult> measure(const ModelFile& model, const EngineOptions& options
   result.profile.layer_ns.resize((*engine)->network().layers().size());
 
   const std::uint64_t allocations = alloc_watch::process_allocations();
+  const std::int64_t faults = os::thread_page_faults();
   const std::int64_t begin = os::monotonic_ns();
   for (int i = 0; i < kMostFrames; ++i) {
     const std::int64_t before = os::monotonic_ns();
@@ -95,6 +97,8 @@ Result<BenchResult> measure(const ModelFile& model, const EngineOptions& options
   result.allocations_per_frame =
       static_cast<double>(alloc_watch::process_allocations() - allocations) /
       static_cast<double>(result.milliseconds.size());
+  result.faults_per_frame = static_cast<double>(os::thread_page_faults() - faults) /
+                            static_cast<double>(result.milliseconds.size());
   std::sort(result.milliseconds.begin(), result.milliseconds.end());
   result.stats = (*engine)->stats();
   result.engine = std::move(*engine);
@@ -122,6 +126,8 @@ void print_json(const BenchResult& result) {
       {"preprocess_bytes", stats.preprocess_bytes},
       {"peak_rss_bytes", os::peak_rss_bytes()},
       {"allocations_per_frame", result.allocations_per_frame},
+      {"page_faults_per_frame", result.faults_per_frame},
+      {"memory_locked", stats.memory_locked},
   };
   std::printf("%s\n", json.dump(2).c_str());
 }
@@ -142,6 +148,8 @@ void print_text(const BenchResult& result) {
   std::printf("preprocess %.2f MB\n", static_cast<double>(stats.preprocess_bytes) * 1e-6);
   std::printf("peak RSS   %.1f MB\n", static_cast<double>(os::peak_rss_bytes()) * 1e-6);
   std::printf("heap       %g allocations a frame\n", result.allocations_per_frame);
+  std::printf("faults     %g page faults a frame; memory %slocked against swapping\n",
+              result.faults_per_frame, stats.memory_locked ? "" : "not ");
 }
 
 Status parse_size(const std::string& text, EngineOptions& options) {

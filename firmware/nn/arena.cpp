@@ -12,17 +12,21 @@ Result<Arena> Arena::allocate(std::size_t bytes) {
   Arena arena;
   arena.memory_ = *memory;
   arena.bytes_ = bytes;
+  arena.locked_ = os::lock_pages(*memory, bytes).is_ok();
   return arena;
 }
 
 Arena::~Arena() { os::free_pages(memory_, bytes_); }
 
 Arena::Arena(Arena&& other) noexcept
-    : memory_(std::exchange(other.memory_, nullptr)), bytes_(std::exchange(other.bytes_, 0)) {}
+    : memory_(std::exchange(other.memory_, nullptr)),
+      bytes_(std::exchange(other.bytes_, 0)),
+      locked_(std::exchange(other.locked_, false)) {}
 
 Arena& Arena::operator=(Arena&& other) noexcept {
   std::swap(memory_, other.memory_);
   std::swap(bytes_, other.bytes_);
+  std::swap(locked_, other.locked_);
   return *this;
 }
 

@@ -8,7 +8,8 @@
 
 namespace lcdm {
 
-// Page-aligned, zeroed, every page touched; moved, never copied. Owned by one Engine.
+// Page-aligned, zeroed, every page touched, and locked against swapping where the process may;
+// moved, never copied. Owned by one Engine.
 class Arena {
  public:
   Arena() = default;
@@ -20,12 +21,14 @@ class Arena {
   Arena& operator=(const Arena&) = delete;
 
   std::size_t bytes() const { return bytes_; }
+  bool locked() const { return locked_; }
   // `count` floats from byte `offset`, which is a multiple of 4; within the block, checked.
   std::span<float> floats(std::size_t offset, std::size_t count) const;
 
  private:
   std::byte* memory_ = nullptr;
   std::size_t bytes_ = 0;
+  bool locked_ = false;
 };
 
 }  // namespace lcdm

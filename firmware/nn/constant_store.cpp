@@ -22,4 +22,8 @@ Result<std::span<float>> ConstantStore::add(std::size_t count) {
   return piece;
 }
 
+bool ConstantStore::locked() const {
+  return std::all_of(blocks_.begin(), blocks_.end(), [](const Arena& b) { return b.locked(); });
+}
+
 }  // namespace lcdm

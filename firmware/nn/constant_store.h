@@ -17,6 +17,7 @@ class ConstantStore {
   // Zeroed and aligned to MemoryPlan::kAlignment.
   Result<std::span<float>> add(std::size_t count);
   std::size_t bytes() const { return bytes_; }  // handed out
+  bool locked() const;                          // all of it
 
  private:
   std::vector<Arena> blocks_;

@@ -186,6 +186,7 @@ EngineStats Engine::stats() const {
           .height = network_.height(),
           .threads = pool_.workers(),
           .precision = kernels::native_precision(options_.precision, Network::kSizeStep),
+          .memory_locked = program_.memory_locked(),
           .model_name = config.name,
           .model_licence = config.licence,
           .model_hash = model_hash_};

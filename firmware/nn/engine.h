@@ -42,6 +42,7 @@ struct EngineStats {
   int height = 0;
   int threads = 0;
   Precision precision = Precision::kFloat32;  // what is in use
+  bool memory_locked = false;                 // against swapping: the process was allowed to
   std::string model_name;
   std::string model_licence;
   std::uint64_t model_hash = 0;
