@@ -5,6 +5,7 @@
 #include <cstring>
 #include <pthread.h>
 #include <sched.h>
+#include <sys/auxv.h>
 #include <sys/mman.h>
 #include <sys/resource.h>
 #include <sys/syscall.h>
@@ -58,6 +59,14 @@ void free_pages(std::byte* memory, std::size_t bytes) noexcept {
 Status lock_pages(std::byte* memory, std::size_t bytes) {
   if (mlock(memory, bytes) == 0) return Status::ok();
   return Status::system(errno, "cannot lock %zu bytes in memory (raise LimitMEMLOCK=)", bytes);
+}
+
+bool has_dot_product() {
+#if defined(__aarch64__)
+  return (getauxval(AT_HWCAP) & HWCAP_ASIMDDP) != 0;
+#else
+  return false;
+#endif
 }
 
 int processor_count() {

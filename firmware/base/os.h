@@ -27,6 +27,9 @@ void lower_thread_priority(int steps);
 Result<std::byte*> allocate_pages(std::size_t bytes);
 void free_pages(std::byte* memory, std::size_t bytes) noexcept;
 
+// Whether this is an Arm processor with dot products of 8-bit integers (Armv8.2 DotProd).
+bool has_dot_product();
+
 // Locks memory against swapping. Fails where RLIMIT_MEMLOCK is too small.
 Status lock_pages(std::byte* memory, std::size_t bytes);
 

@@ -267,7 +267,7 @@ class Lowering {
   Status attention() {
     const Shape& out = layer_.output;
     const Precision precision =
-        std::min(weights_.precision_for(out.channels / Network::kHeads), Precision::kBfloat16);
+        weights_.precision_for(out.channels / Network::kHeads, Precision::kBfloat16);
     const kernels::Attention args = {input(),         out.height, out.width, out.channels,
                                      Network::kHeads, output_,    precision};
     return add_step(args, &kernels::attention_range, kernels::attention_items(args), 1,

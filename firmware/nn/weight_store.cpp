@@ -57,8 +57,8 @@ ComposedHead compose(const HeadParameters& p) {
 
 }  // namespace
 
-Precision WeightStore::precision_for(int numbers) const {
-  return kernels::native_precision(precision_, numbers);
+Precision WeightStore::precision_for(int numbers, Precision narrowest) const {
+  return kernels::native_precision(std::min(precision_, narrowest), numbers);
 }
 
 std::vector<float> WeightStore::load(const Parameter& parameter) const {
@@ -114,7 +114,7 @@ Status WeightStore::pack_matrix(const Layer& layer, int depth, kernels::PackedMa
                                 Precision narrowest) {
   const std::vector<float> weight = load(layer.parameters[0]);
   const auto at = [&](int k, int n) { return weight[static_cast<std::size_t>(n * depth + k)]; };
-  const Precision precision = std::min(precision_for(depth), narrowest);
+  const Precision precision = precision_for(depth, narrowest);
   return pack(depth, layer.output.channels, at, bias_of(layer), precision, out);
 }
 

@@ -23,8 +23,8 @@ class WeightStore {
   WeightStore(const ModelFile& model, ConstantStore& constants, Precision precision)
       : model_(model), constants_(constants), precision_(precision) {}
 
-  // What products of rows of so many numbers are made in.
-  Precision precision_for(int numbers) const;
+  // What products of rows of so many numbers are made in, no narrower than `narrowest`.
+  Precision precision_for(int numbers, Precision narrowest = Precision::kInt8) const;
 
   // A parameter as it is in the file.
   Status store(const Parameter& parameter, const float*& out);

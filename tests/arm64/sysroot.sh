@@ -19,7 +19,7 @@ packages=(mmdebstrap g++-aarch64-linux-gnu qemu-user-static)
 dpkg-query -W "${packages[@]}" >/dev/null 2>&1 ||
   as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "${packages[@]}"
 
-if [[ -e $folder/usr/include/hwy ]]; then
+if [[ -e $folder/usr/include/gpiod.h ]]; then
   echo "$folder is there already"
   exit 0
 fi

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdint>
 
+#include "firmware/base/os.h"
 #include "firmware/nn/kernels/words.h"
 
 // clang-format off
@@ -45,7 +46,17 @@ void rows_of_floats(const RowInput& a, const PackedMatrix& b, const RowOutput& o
 
 int lanes() { return static_cast<int>(kLanes); }
 
-bool has_native_dots() { return LCDM_NATIVE_DOTS != 0; }
+bool is_native(Precision precision) {
+  switch (precision) {
+    case Precision::kFloat32:
+      return true;
+    case Precision::kBfloat16:
+      return LCDM_NATIVE_BFLOAT16;
+    case Precision::kInt8:
+      return LCDM_NATIVE_INT8;
+  }
+  return false;
+}
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lcdm::kernels
@@ -56,28 +67,31 @@ namespace lcdm::kernels {
 
 HWY_EXPORT(rows_of_floats);
 HWY_EXPORT(lanes);
-HWY_EXPORT(has_native_dots);
+HWY_EXPORT(is_native);
 
 int vector_lanes() { return HWY_DYNAMIC_DISPATCH(lanes)(); }
-
-Support support_of(Precision precision) {
-  if (precision == Precision::kFloat32) return Support::kNative;
-  if (!HWY_DYNAMIC_DISPATCH(has_native_dots)()) return Support::kSlow;
-#if defined(__x86_64__)
-  const bool present = precision == Precision::kBfloat16
-                           ? __builtin_cpu_supports("avx512bf16") != 0
-                           : __builtin_cpu_supports("avx512vnni") != 0;
-  return present ? Support::kNative : Support::kNone;
-#else
-  return Support::kNone;
-#endif
-}
 
 namespace {
 
 int padded(int columns) { return (columns + vector_lanes() - 1) / vector_lanes() * vector_lanes(); }
 
+// AVX-512 and NEON are older than these instructions of theirs.
+bool processor_has(Precision precision) {
+#if defined(__x86_64__)
+  return precision == Precision::kBfloat16 ? __builtin_cpu_supports("avx512bf16") != 0
+                                           : __builtin_cpu_supports("avx512vnni") != 0;
+#else
+  return precision == Precision::kInt8 && os::has_dot_product();
+#endif
+}
+
 }  // namespace
+
+Support support_of(Precision precision) {
+  if (precision == Precision::kFloat32) return Support::kNative;
+  if (!HWY_DYNAMIC_DISPATCH(is_native)(precision)) return Support::kSlow;
+  return processor_has(precision) ? Support::kNative : Support::kNone;
+}
 
 Precision native_precision(Precision wanted, int numbers) {
   for (const Precision precision : {Precision::kInt8, Precision::kBfloat16}) {

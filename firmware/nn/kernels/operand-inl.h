@@ -19,12 +19,11 @@
 #include "firmware/nn/kernels/matrix.h"
 #include "firmware/nn/kernels/words.h"
 
-#undef LCDM_NATIVE_DOTS  // the instructions; has_dots() tells whether the processor has them too
-#if HWY_TARGET == HWY_AVX3
-#define LCDM_NATIVE_DOTS 1
-#else
-#define LCDM_NATIVE_DOTS 0
-#endif
+// The instructions of this target; support_of() tells whether the processor has them too.
+#undef LCDM_NATIVE_BFLOAT16
+#undef LCDM_NATIVE_INT8
+#define LCDM_NATIVE_BFLOAT16 (HWY_TARGET == HWY_AVX3)
+#define LCDM_NATIVE_INT8 (HWY_TARGET == HWY_AVX3 || HWY_TARGET == HWY_NEON)
 
 HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
@@ -60,7 +59,7 @@ struct Bfloat16Operand {
 
   template <class D, class V = hn::Vec<D>>
   static HWY_INLINE V dot(D d, V x, V w, V sum) {
-#if LCDM_NATIVE_DOTS
+#if LCDM_NATIVE_BFLOAT16
     (void)d;
     asm("vdpbf16ps %2, %1, %0" : "+v"(sum.raw) : "v"(w.raw), "v"(x.raw));
     return sum;
@@ -78,7 +77,7 @@ struct Bfloat16Operand {
   // `count` numbers of a row, a multiple of 2, into count / 2 words.
   static HWY_INLINE void narrow(const float* from, int count, float* words) {
     int i = 0;
-#if LCDM_NATIVE_DOTS
+#if LCDM_NATIVE_BFLOAT16
     i = narrow_vectors(FullTag(), i, from, count, words);
     i = narrow_vectors(HWY_CAPPED(float, 8)(), i, from, count, words);
     i = narrow_vectors(HWY_CAPPED(float, 4)(), i, from, count, words);
@@ -95,7 +94,7 @@ struct Bfloat16Operand {
   }
 
  private:
-#if LCDM_NATIVE_DOTS
+#if LCDM_NATIVE_BFLOAT16
   // From number i on, as many as fill whole vectors of words; returns the first that is left.
   template <class D>
   static HWY_INLINE int narrow_vectors(D d, int i, const float* from, int count, float* words) {
@@ -111,16 +110,24 @@ struct Bfloat16Operand {
 #endif
 };
 
-// Rows are unsigned bytes of their own range, columns signed ones. Sums are 32-bit integers behind
-// the face of floats.
+// Rows are bytes of their own range, unsigned but where kSigned; columns are signed ones. Sums are
+// 32-bit integers behind the face of floats.
 struct Int8Operand {
+  static constexpr bool kSigned = HWY_TARGET == HWY_NEON;  // both alike, as its instruction wants
+
   static constexpr Precision kPrecision = Precision::kInt8;
 
   template <class D, class V = hn::Vec<D>>
   static HWY_INLINE V dot(D d, V x, V w, V sum) {
-#if LCDM_NATIVE_DOTS
+#if HWY_TARGET == HWY_AVX3
     (void)d;
     asm("vpdpbusd %2, %1, %0" : "+v"(sum.raw) : "v"(x.raw), "v"(w.raw));
+    return sum;
+#elif HWY_TARGET == HWY_NEON
+    (void)d;
+    asm(".arch_extension dotprod\n\tsdot %0.4s, %1.16b, %2.16b"
+        : "+w"(sum.raw)
+        : "w"(x.raw), "w"(w.raw));
     return sum;
 #else
     const hn::RebindToUnsigned<D> du;
@@ -145,14 +152,18 @@ struct Int8Operand {
                                      float* words, RowRange* ranges) {
     const RowRange range = range_of(from, stride, rows, static_cast<std::size_t>(count));
     const float inverse = range.scale > 0 ? 1.0F / range.scale : 0.0F;
+    // A signed byte is the unsigned one less 128, which is its highest bit turned.
+    const std::uint8_t turned = kSigned ? 0x80 : 0;
+    const RowRange given = {range.low + static_cast<float>(turned) * range.scale, range.scale};
     auto* bytes = reinterpret_cast<std::uint8_t*>(words);
     for (int m = 0; m < rows; ++m, from += stride, bytes += count) {
-      ranges[m] = range;
+      ranges[m] = given;
       for_channels(static_cast<std::size_t>(count), [&](auto d, std::size_t i) HWY_ATTR {
         const auto x =
             hn::Mul(hn::Sub(hn::LoadU(d, from + i), hn::Set(d, range.low)), hn::Set(d, inverse));
         const hn::Rebind<std::uint8_t, decltype(d)> d8;
-        hn::StoreU(hn::DemoteTo(d8, hn::NearestInt(x)), d8, bytes + i);
+        const auto byte = hn::DemoteTo(d8, hn::NearestInt(x));
+        hn::StoreU(hn::Xor(byte, hn::Set(d8, turned)), d8, bytes + i);
       });
     }
   }
