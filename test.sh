@@ -84,7 +84,7 @@ build_board() {
 }
 
 # What depends on the processor, for 64-bit Arm under QEMU.
-arm64_programs=(kernel_tests engine_reference_tests network_tests engine_tests)
+arm64_programs=(kernel_tests precision_tests engine_reference_tests network_tests engine_tests)
 build_arm64() {
   cmake --preset arm64 >/dev/null && cmake --build --preset arm64 --target "${arm64_programs[@]}" lcdm
 }

@@ -125,7 +125,7 @@ struct Int8Operand {
     return sum;
 #elif HWY_TARGET == HWY_NEON
     (void)d;
-    asm(".arch_extension dotprod\n\tsdot %0.4s, %1.16b, %2.16b"
+    asm(".arch armv8.2-a+crypto+dotprod\n\tsdot %0.4s, %1.16b, %2.16b"
         : "+w"(sum.raw)
         : "w"(x.raw), "w"(w.raw));
     return sum;
