@@ -47,12 +47,13 @@ lost_frames() {
   within 20 depth_flows
 }
 
-# recovers COUNTER CONTROL: the fault is injected, the rung of the ladder counted, depth comes back.
+# recovers COUNTER CONTROL: the fault is injected, the rung of the ladder counted (COUNTER: what of
+# the status; which rung it is depends on how long depth had been steady), depth comes back.
 recovers() {
   local before begin=$EPOCHREALTIME
-  before=$(status ".recovery.$1")
+  before=$(status "$1")
   vivid "$2=1"
-  within 30 rises ".recovery.$1" "$before" >&2 || return
+  within 30 rises "$1" "$before" >&2 || return
   within 30 depth_flows >&2 || return
   echo "$(seconds "$(elapsed_ms "$begin")"), recovery: $(status '.recovery | map_values(select(. > 0)) | tostring')"
 }

@@ -58,8 +58,9 @@ check 'camera arrives after boot' camera_arrives
 check 'depth as a 16-bit picture' depth_picture
 check 'frame with the error flag' broken_frame
 check 'frames lost' lost_frames
-check 'fatal streaming error' recovers stream_restarts inject_fatal_streaming_error
-check 'camera disconnected' recovers device_waits disconnect
+check 'fatal streaming error' recovers \
+  '.recovery | .stream_restarts + .reopenings' inject_fatal_streaming_error
+check 'camera disconnected' recovers .recovery.device_waits disconnect
 check 'camera unplugged for seconds' camera_unplugged
 check 'multi-planar camera' several_planes
 check 'control from outside needs the token' control_is_refused
