@@ -75,7 +75,8 @@ camera_unplugged() {
 several_planes() {
   on_guest 'echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind' >&2
   within 30 state_is 'waiting for camera' >&2 || return
-  on_guest 'modprobe -r vivid && modprobe vivid multiplanar=2' >&2 || return
+  # udev may still look at what is going away.
+  within 30 on_guest modprobe -r vivid >&2 && on_guest modprobe vivid multiplanar=2 >&2 || return
   within 60 depth_flows >&2 || return
   on_guest v4l2-ctl -d /dev/video0 -D | grep -q 'Video Capture Multiplanar' || return
   status .source.description
