@@ -2,6 +2,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
+#include <malloc.h>
 
 #include "app/commands/commands.h"
 #include "app/exit_code.h"
@@ -18,6 +19,15 @@ void quiet_libraries() {
   setenv("OPENCV_IO_MAX_IMAGE_PIXELS", "100000000", 0);  // NOLINT(concurrency-mt-unsafe)
 }
 
+// One heap for all threads, and large blocks given back at once: otherwise each thread that ever
+// served somebody keeps what it once needed, and a program that runs for months grows by that.
+// Those that must not wait for the heap do not use it.
+void keep_heap_small() {
+  constexpr int kLargeBlock = 128 << 10;  // glibc's own, which else grows with what is freed
+  mallopt(M_ARENA_MAX, 1);
+  mallopt(M_MMAP_THRESHOLD, kLargeBlock);
+}
+
 // LCDM_ISA=NAME: the kernels' instruction set, to compare them or to avoid one.
 lcdm::Status choose_isa() {
   const char* name = std::getenv("LCDM_ISA");  // NOLINT(concurrency-mt-unsafe): no threads yet
@@ -28,6 +38,7 @@ lcdm::Status choose_isa() {
 
 int main(int argc, char** argv) {
   quiet_libraries();
+  keep_heap_small();
   if (const lcdm::Status status = choose_isa(); !status) {
     std::fprintf(stderr, "lcdm: %s\n", status.text());
     return lcdm::kExitUsage;
