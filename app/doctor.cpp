@@ -125,7 +125,9 @@ std::vector<Finding> examine(const Config& config, const std::string& root) {
   findings.push_back(check_model(config, engine_bytes));
   findings.push_back(check_memory_lock(root, memory_lock_limit(), engine_bytes));
   findings.push_back(check_disk(config.record.directory, config.record.keep_free_megabytes));
-  findings.push_back(check_port(config.http.listen, config.http.port));
+  for (const std::string& address : listen_addresses(config.http.listen)) {
+    findings.push_back(check_port(address, config.http.port));
+  }
   findings.push_back(check_clock(clock_is_synchronised()));
   findings.push_back(check_hardware_watchdog(root));
   findings.push_back(check_service(root));
@@ -226,11 +228,11 @@ Finding check_disk(const std::string& directory, int keep_free_megabytes) {
                                std::generic_category().message(errno) +
                                "): set record.directory to a folder this user may write");
   }
-  const std::uint64_t free_mb = std::uint64_t{disk.f_bavail} * disk.f_frsize / 1'000'000;
-  const std::string text = existing.string() + ": " + std::to_string(free_mb) + " MB free";
+  const std::uint64_t free_mb = std::uint64_t{disk.f_bavail} * disk.f_frsize >> 20;
+  const std::string text = existing.string() + ": " + std::to_string(free_mb) + " MiB free";
   if (free_mb <= static_cast<std::uint64_t>(keep_free_megabytes)) {
     return warning("disk", text + ", recording keeps " + std::to_string(keep_free_megabytes) +
-                               " MB free: delete old recordings or set record.directory");
+                               " MiB free: delete old recordings or set record.directory");
   }
   return well("disk", text);
 }

@@ -73,6 +73,7 @@ std::string bracketed(const std::string& address) {
 bool has_address(const std::string& address) {
   const bool is_v6 = address.find(':') != std::string::npos;
   const int descriptor = socket(is_v6 ? AF_INET6 : AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+  if (descriptor < 0) return false;  // a kernel without that kind of address
   sockaddr_in v4{};
   v4.sin_family = AF_INET;
   sockaddr_in6 v6{};

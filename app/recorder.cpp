@@ -68,8 +68,8 @@ Recorder::~Recorder() { stop(); }
 
 Status Recorder::start(const std::string& source, const FrameFormat& format,
                        const CameraModel& camera) {
-  stop();
   const std::lock_guard control(control_mutex_);
+  end();
   std::error_code error;
   fs::create_directories(options_.directory, error);
   if (error) {
@@ -81,8 +81,12 @@ Status Recorder::start(const std::string& source, const FrameFormat& format,
   source_ = source;
   camera_ = camera;
   writer_.emplace(kChunkBytes, kChunkMessages, kChunks);
-  LCDM_RETURN_IF_ERROR(prepare_slots(format));
-  LCDM_RETURN_IF_ERROR(open_segment());
+  Status status = prepare_slots(format);
+  if (status) status = open_segment();
+  if (!status) {
+    writer_.reset();
+    return status;
+  }
   {
     const std::lock_guard lock(mutex_);
     fault_.clear();
@@ -95,6 +99,10 @@ Status Recorder::start(const std::string& source, const FrameFormat& format,
 
 void Recorder::stop() {
   const std::lock_guard control(control_mutex_);
+  end();
+}
+
+void Recorder::end() {
   recording_ = false;
   stopping_ = true;
   work_.release();
@@ -109,9 +117,12 @@ RecorderStatus Recorder::status() const {
 
 bool Recorder::push(const FrameView& frame) noexcept {
   const std::unique_lock lock(push_mutex_, std::try_to_lock);
-  if (!lock || !recording_ || frame.format != format_ || frame.bytes > frame_capacity_) {
+  if (!lock || !recording_) return false;
+  if (frame.format != format_) {
+    if (!format_changed_.exchange(true)) work_.release();
     return false;
   }
+  if (frame.bytes > frame_capacity_) return false;
   const auto index = free_.pop();
   if (!index) return false;
   Slot& slot = slots_[*index];
@@ -135,6 +146,7 @@ Status Recorder::prepare_slots(const FrameFormat& format) {
   const std::lock_guard lock(push_mutex_);
   format_ = format;
   frame_capacity_ = frame_capacity(format);
+  format_changed_ = false;
   while (filled_.pop()) continue;
   while (free_.pop()) continue;
   while (work_.try_acquire()) continue;
@@ -187,7 +199,7 @@ void Recorder::record_loop() {
     heartbeat_.beat(os::monotonic_ns());
     const auto index = filled_.pop();
     if (!index) {
-      if (stopping_) break;
+      if (stopping_ || format_changed_) break;
       continue;
     }
     status = write(slots_[*index].view);
@@ -255,7 +267,12 @@ Result<std::span<const std::byte>> Recorder::as_jpeg(const FrameView& frame) {
 // Completes the file; what went wrong before, or now, becomes the status.
 void Recorder::finish(const Status& status) {
   recording_ = false;
-  const Status completed = status ? writer_->finish() : status;
+  Status completed = status ? writer_->finish() : status;
+  if (completed && format_changed_) {
+    completed = Status::error(StatusCode::kUnavailable,
+                              "recording ended: the camera came back with another format; start "
+                              "it again");
+  }
   file_.close();
   if (completed) return;
   const std::lock_guard lock(mutex_);

@@ -87,6 +87,7 @@ class Recorder final : public DepthSink {
     std::string path_;
   };
 
+  void end();  // control_mutex_ is held
   Status prepare_slots(const FrameFormat& format);
   Status open_segment();
   void record_loop();
@@ -103,6 +104,7 @@ class Recorder final : public DepthSink {
   std::counting_semaphore<> work_{0};     // one per entry of filled_, and one to stop
   std::atomic<bool> recording_{false};
   std::atomic<bool> stopping_{false};
+  std::atomic<bool> format_changed_{false};  // frames come that this recording cannot hold
   std::atomic<std::uint64_t> frames_{0};
   std::atomic<std::uint64_t> dropped_{0};
   std::atomic<std::uint64_t> bytes_{0};

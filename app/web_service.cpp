@@ -21,7 +21,7 @@ constexpr milliseconds kPictureWait{3000};
 // A viewer hears from us at least this often, frames or not.
 constexpr milliseconds kSignOfLife{1000};
 // Without a look of main's at everything for this long, its judgement counts no more.
-constexpr std::int64_t kLookDeadlineNs = 5'000'000'000;
+constexpr std::int64_t kLookDeadlineNs = 10'000'000'000;
 
 constexpr const char* kJson = "application/json";
 constexpr const char* kText = "text/plain; charset=utf-8";
@@ -47,7 +47,7 @@ HttpRoute file_route(const std::string& path, const std::string& name, const std
 
 void send_health(const Parts& parts, HttpExchange& exchange) {
   const ServiceStatus now = parts.service.status();
-  const bool hangs = os::monotonic_ns() - now.looked_ns > kLookDeadlineNs;
+  const bool hangs = now.looked_ns > 0 && os::monotonic_ns() - now.looked_ns > kLookDeadlineNs;
   const DeviceState state = now.judgement.state;
   const bool well = gives_depth(state) && !hangs;
   exchange.send_text(well ? 200 : 503, kText,

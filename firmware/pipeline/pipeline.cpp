@@ -67,6 +67,7 @@ Status Pipeline::start() {
   }
   if (absent) {
     declare(status);
+    const std::lock_guard lock(mutex_);
     source_.info = {camera_.info().uri, "not there yet"};
   }
   stopping_ = false;

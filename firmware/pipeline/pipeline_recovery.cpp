@@ -81,6 +81,7 @@ bool Pipeline::recover(Status fault) {
   last_frame_ns_ = os::monotonic_ns();
   last_depth_ns_ = last_frame_ns_;  // what came before does not count against the camera now
   seen_depth_ns_ = last_frame_ns_;
+  only_corrupt_ = false;
   return true;
 }
 

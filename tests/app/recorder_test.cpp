@@ -198,14 +198,37 @@ TEST_F(RecorderTest, AFolderThatCannotBeMadeIsRefusedWithTheCure) {
   EXPECT_FALSE(recorder.status().recording);
 }
 
-TEST_F(RecorderTest, AFrameOfAnotherFormatCountsAsDroppedAndHarmsNothing) {
+// The camera was replugged and has other frames now: what was recorded stays whole.
+TEST_F(RecorderTest, AFrameOfAnotherFormatEndsTheRecordingAndSaysSo) {
   Recorder recorder(options());
   ASSERT_TRUE(recorder.start("scene:1", kFormat, kCamera));
-  FrameView other = frame(0);
+  ASSERT_TRUE(recorder.push(frame(0)));
+  FrameView other = frame(1);
   other.format.width = 32;
   recorder.push_or_drop(other);
   EXPECT_EQ(recorder.status().dropped, 1U);
+  while (recorder.status().recording) std::this_thread::sleep_for(milliseconds(1));
   recorder.stop();
+  EXPECT_NE(recorder.status().fault.find("another format; start it again"), std::string::npos)
+      << recorder.status().fault;
+  EXPECT_EQ(recorder.status().frames, 1U);
+  record(recorder, 2);
+  EXPECT_EQ(recorder.status().fault, "");
+}
+
+// The page, the button and the network may all ask at once.
+TEST_F(RecorderTest, StartedByTwoThreadsAtOnceItRecordsOnce) {
+  Recorder recorder(options());
+  const auto start_often = [&] {
+    for (int i = 0; i < 50; ++i) EXPECT_TRUE(recorder.start("scene:1", kFormat, kCamera));
+  };
+  std::thread other(start_often);
+  start_often();
+  other.join();
+  EXPECT_TRUE(recorder.push(frame(0)));
+  recorder.stop();
+  EXPECT_EQ(recorder.status().frames, 1U);
+  EXPECT_EQ(segments().size(), 100U) << "every start has a file of its own";
 }
 
 TEST_F(RecorderTest, CanBeStartedAgain) {

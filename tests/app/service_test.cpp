@@ -24,6 +24,7 @@ namespace {
 namespace fs = std::filesystem;
 using test::Program;
 using testing::HasSubstr;
+using testing::Not;
 using testing::StartsWith;
 
 class ServiceTest : public testing::Test {
@@ -99,17 +100,6 @@ TEST_F(ServiceTest, TellsSystemdThatItIsReadyLivesAndStops) {
   EXPECT_EQ(program.wait(), 0) << program.text();
 }
 
-// No ping while depth does not come: systemd would end and restart us.
-TEST_F(ServiceTest, AStoppedProcessDoesNotPing) {
-  Program program(LCDM_PROGRAM, arguments({"--source", "scene:"}), environment());
-  EXPECT_THAT(message("READY=1"), HasSubstr("streaming"));
-  kill(program.pid(), SIGSTOP);
-  while (!socket_.next(1000).empty()) continue;
-  EXPECT_EQ(socket_.next(1000), "") << "nothing pings for us";
-  kill(program.pid(), SIGCONT);
-  EXPECT_EQ(message("WATCHDOG=1"), "WATCHDOG=1");
-}
-
 // The thread of the process that has this name; 0: none.
 pid_t thread_of(pid_t process, const std::string& name) {
   for (const auto& task : fs::directory_iterator("/proc/" + std::to_string(process) + "/task")) {
@@ -131,7 +121,9 @@ TEST_F(ServiceTest, AStalledInferenceStopsThePing) {
   ASSERT_EQ(ptrace(PTRACE_INTERRUPT, infer, nullptr, nullptr), 0);
   ASSERT_EQ(waitpid(infer, nullptr, __WALL), infer);
   EXPECT_THAT(message("STATUS=fault"), HasSubstr("fault: "));
-  EXPECT_EQ(socket_.next(1500), "") << "the watchdog's time-out is 400 ms";
+  for (std::string said; !(said = socket_.next(1500)).empty();) {  // its time-out is 400 ms
+    EXPECT_THAT(said, Not(HasSubstr("WATCHDOG=1")));
+  }
   EXPECT_THAT(test::get(port_of(program), "/healthz"), StartsWith("HTTP/1.1 503 "));
   ASSERT_EQ(ptrace(PTRACE_DETACH, infer, nullptr, nullptr), 0);
   EXPECT_EQ(message("WATCHDOG=1"), "WATCHDOG=1") << "it goes on, and so does the ping";
