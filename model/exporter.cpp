@@ -9,7 +9,7 @@ namespace {
 using Tensors = std::map<std::string, torch::Tensor>;
 
 // What BatchNorm with running statistics multiplies by; it adds bias - mean * scale.
-torch::Tensor scale_of(const torch::nn::BatchNorm2dImpl& bn) {
+torch::Tensor scale_of(const NormImpl& bn) {
   return bn.weight / (bn.running_var + bn.options.eps()).sqrt();
 }
 

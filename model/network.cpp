@@ -13,7 +13,6 @@ namespace nn = torch::nn;
 namespace F = torch::nn::functional;
 
 constexpr double kNormEpsilon = 1e-5;
-constexpr int kHeads = 4;
 constexpr int kGroups = 4;
 
 struct Stage {
@@ -74,6 +73,30 @@ torch::Tensor resize_bilinear(const torch::Tensor& x, std::int64_t height, std::
 
 }  // namespace
 
+NormImpl::NormImpl(int channels) : NormImplBase(nn::BatchNormOptions(channels).eps(kNormEpsilon)) {}
+
+torch::Tensor NormImpl::forward(const torch::Tensor& x) {
+  if (adopts > 0) {
+    const torch::Tensor scale = weight / (running_var + options.eps()).sqrt();
+    const torch::Tensor shift = bias - running_mean * scale;
+    running_mean.lerp_(x.mean({0, 2, 3}), adopts);
+    running_var.lerp_(x.var({0, 2, 3}, true), adopts);
+    weight.copy_(scale * (running_var + options.eps()).sqrt());
+    bias.copy_(shift + running_mean * scale);
+  }
+  if (is_training()) num_batches_tracked += 1;
+  return torch::batch_norm(x, weight, bias, running_mean, running_var, is_training(),
+                           *options.momentum(), options.eps(), true);
+}
+
+torch::Tensor NormImpl::forward_without_trace(const torch::Tensor& x) {
+  return torch::batch_norm(x, weight, bias, {}, {}, true, 0, options.eps(), false);
+}
+
+void NormImpl::_check_input_dim(const torch::Tensor& x) {
+  TORCH_CHECK(x.dim() == 4, "expected [batch, channels, height, width]");
+}
+
 ConvNormImpl::ConvNormImpl(int in, int out, int kernel, int stride, int groups, bool act)
     : activation(act) {
   conv = register_module("conv", nn::Conv2d(nn::Conv2dOptions(in, out, kernel)
@@ -81,7 +104,7 @@ ConvNormImpl::ConvNormImpl(int in, int out, int kernel, int stride, int groups, 
                                                 .padding(kernel / 2)
                                                 .groups(groups)
                                                 .bias(false)));
-  bn = register_module("bn", nn::BatchNorm2d(nn::BatchNorm2dOptions(out).eps(kNormEpsilon)));
+  bn = register_module("bn", Norm(out));
 }
 
 torch::Tensor ConvNormImpl::forward(const torch::Tensor& x) {
@@ -272,7 +295,7 @@ HeadImpl::HeadImpl(const ModelConfig& config) {
   if (config.preset == PresetKind::kLcdm) {
     nn::ModuleList norms;
     for (std::size_t k = 0; k < steps; ++k) {
-      norm.emplace_back(nn::BatchNorm2dOptions(c).eps(kNormEpsilon));
+      norm.emplace_back(c);
       norms->push_back(norm.back());
     }
     register_module("norm", norms);
@@ -289,10 +312,9 @@ torch::Tensor HeadImpl::hidden(const torch::Tensor& condition, const torch::Tens
   const torch::Tensor fused = condition + time + embed->forward(x);
   const torch::Tensor y = conv1->forward(fused);
   if (norm.empty()) return torch::relu(group_norm->forward(y));
-  nn::BatchNorm2d& bn = norm[static_cast<std::size_t>(step)];
+  Norm& bn = norm[static_cast<std::size_t>(step)];
   if (statistics == Statistics::kUpdate || !bn->is_training()) return torch::relu(bn->forward(y));
-  return torch::relu(
-      torch::batch_norm(y, bn->weight, bn->bias, {}, {}, true, 0, kNormEpsilon, false));
+  return torch::relu(bn->forward_without_trace(y));
 }
 
 torch::Tensor HeadImpl::forward(const torch::Tensor& condition, const torch::Tensor& x,
@@ -349,6 +371,24 @@ torch::Tensor DepthNetworkImpl::sample(const torch::Tensor& condition, int steps
     x = x * step.p + out * step.q;
   }
   return x;
+}
+
+void measure_statistics(DepthNetwork& network, const std::vector<torch::Tensor>& pictures) {
+  const torch::NoGradGuard no_grad;
+  const bool was_training = network->is_training();
+  const auto set = [&](double adopts) {
+    for (const auto& module : network->modules()) {
+      if (auto* norm = module->as<Norm>()) norm->adopts = adopts;
+    }
+  };
+  network->eval();
+  for (std::size_t i = 0; i < pictures.size(); ++i) {
+    set(1.0 / static_cast<double>(i + 1));
+    network->sample(network->condition_of(pictures[i]),
+                    static_cast<int>(network->config.steps.size()));
+  }
+  set(0);
+  network->train(was_training);
 }
 
 }  // namespace lcdm::model

@@ -11,13 +11,32 @@
 
 namespace lcdm::model {
 
+// Heads of every attention.
+inline constexpr int kHeads = 4;
+
+// BatchNorm that can be told to look at what goes through it.
+struct NormImpl : torch::nn::NormImplBase<2, NormImpl, torch::nn::BatchNormOptions> {
+  explicit NormImpl(int channels);
+  torch::Tensor forward(const torch::Tensor& x);
+  // x's own statistics normalise it and are not kept.
+  torch::Tensor forward_without_trace(const torch::Tensor& x);
+
+  // > 0: x's mean and deviation become a part of the statistics, of this weight, while what is
+  // computed in evaluation mode stays the same. See measure_statistics.
+  double adopts = 0;
+
+ private:
+  void _check_input_dim(const torch::Tensor& x) override;
+};
+TORCH_MODULE(Norm);
+
 // Convolution without bias, BatchNorm, and SiLU where `activation`: NETWORK.md's CBA.
 struct ConvNormImpl : torch::nn::Module {
   ConvNormImpl(int in, int out, int kernel, int stride, int groups, bool activation);
   torch::Tensor forward(const torch::Tensor& x);
 
   torch::nn::Conv2d conv = nullptr;
-  torch::nn::BatchNorm2d bn = nullptr;
+  Norm bn = nullptr;
   bool activation;
 };
 TORCH_MODULE(ConvNorm);
@@ -122,7 +141,7 @@ struct HeadImpl : torch::nn::Module {
   torch::nn::Conv2d embed = nullptr;
   torch::Tensor time_embed;  // [150, 16]
   torch::nn::Conv2d conv1 = nullptr;
-  std::vector<torch::nn::BatchNorm2d> norm;   // one per sampler step; empty for `paper`
+  std::vector<Norm> norm;                     // one per sampler step; empty for `paper`
   torch::nn::GroupNorm group_norm = nullptr;  // `paper`
   torch::nn::Conv2d conv2 = nullptr;
 };
@@ -152,6 +171,11 @@ struct DepthNetworkImpl : torch::nn::Module {
   torch::nn::Conv2d direct = nullptr;  // 3x3, condition -> variable; not exported
 };
 TORCH_MODULE(DepthNetwork);
+
+// Gives every batch norm the statistics of what it sees of `pictures` (batches of normalised RGB):
+// before training on weights whose statistics are folded away. What the network computes in
+// evaluation mode stays as it was.
+void measure_statistics(DepthNetwork& network, const std::vector<torch::Tensor>& pictures);
 
 // x [B, C, H, W] with even H, W -> [B * 4, H/2 * W/2, C], one sequence per position in a 2x2 patch.
 torch::Tensor unfold_patches(const torch::Tensor& x);

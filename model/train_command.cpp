@@ -46,23 +46,17 @@ void print_import(const char* what, const std::string& path, const ImportReport&
   std::printf("\n");
 }
 
-Status start_from(const std::string& path, const Recipe& recipe, Trainer& trainer) {
+Status start_from(const std::string& path, Trainer& trainer) {
   const Result<bool> checkpoint = is_checkpoint(path);
   if (!checkpoint) return checkpoint.status();
-  if (!*checkpoint && recipe.freeze_from > 0) {
-    return Status::error(StatusCode::kInvalidInput,
-                         "%s is a model file, whose batch norms have no statistics any more: give "
-                         "--freeze-from 0",
-                         path.c_str());
-  }
   const auto network = *checkpoint ? load_checkpoint(path) : unfold_model(path);
   return network ? trainer.start_from(*network) : network.status();
 }
 
 // Weights trained before, or by others, where the options name them.
-Status start_from_trained(const Options& options, const Recipe& recipe, Trainer& trainer) {
+Status start_from_trained(const Options& options, Trainer& trainer) {
   if (!options.from.empty()) {
-    LCDM_RETURN_IF_ERROR(start_from(options.from, recipe, trainer));
+    LCDM_RETURN_IF_ERROR(start_from(options.from, trainer));
     std::printf("started from %s\n", options.from.c_str());
   }
   if (!options.encoder_weights.empty()) {
@@ -184,7 +178,7 @@ Status run(const Options& options) {
   if (options.resume) {
     LCDM_RETURN_IF_ERROR((*trainer)->resume(training.last()));
   } else {
-    LCDM_RETURN_IF_ERROR(start_from_trained(options, *recipe, **trainer));
+    LCDM_RETURN_IF_ERROR(start_from_trained(options, **trainer));
   }
   const std::string licence = licence_of((*trainer)->config(), *data);
   (*trainer)->set_licence(licence);
@@ -217,7 +211,8 @@ void add_train(CLI::App& app, Status& status) {
   command
       ->add_option(
           "--from", options->from,
-          "Start the depth network from this checkpoint, or from a model file (--freeze-from 0)")
+          "Start the depth network from this checkpoint or model file, of the same or a smaller "
+          "encoder")
       ->check(CLI::ExistingFile);
   command
       ->add_option("--encoder-weights", options->encoder_weights,

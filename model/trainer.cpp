@@ -8,6 +8,7 @@
 #include "model/config_json.h"
 #include "model/depth_code.h"
 #include "model/safetensors.h"
+#include "model/widener.h"
 
 namespace lcdm::model {
 namespace {
@@ -68,18 +69,29 @@ void follow(TrainedNetworks& replica, const TrainedNetworks& networks) {
   for (auto& item : replica->named_buffers()) item.value().copy_(statistics[item.key()]);
 }
 
-// Mean and deviation of the teacher's logit over the same 128 samples whatever the batch's size
-// (MODEL.md: `lcdm` only).
-Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs) {
+// To measure on: 16 batches of 8 samples, the same whatever the recipe's batch, both shapes in
+// turn.
+Result<std::vector<Batch>> make_samples(const Recipe& recipe, const std::vector<Pack>& packs) {
   constexpr std::uint64_t kBatches = 16;
   Stage stage = recipe.stages.front();
   stage.images = 8;
   const std::vector<BatchShape> shapes = make_shapes(recipe, stage, 0);
-  std::vector<torch::Tensor> logits;
+  std::vector<Batch> batches;
   for (std::uint64_t i = 0; i < kBatches; ++i) {
-    const Result<Batch> batch = make_batch(packs, shapes[i % shapes.size()], ~recipe.seed, i);
+    Result<Batch> batch = make_batch(packs, shapes[i % shapes.size()], ~recipe.seed, i);
     if (!batch) return batch.status();
-    const torch::Tensor& depth = batch->target.depth;
+    batches.push_back(std::move(*batch));
+  }
+  return batches;
+}
+
+// Mean and deviation of the teacher's logit (MODEL.md: `lcdm` only).
+Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs) {
+  const auto batches = make_samples(recipe, packs);
+  if (!batches) return batches.status();
+  std::vector<torch::Tensor> logits;
+  for (const Batch& batch : *batches) {
+    const torch::Tensor& depth = batch.target.depth;
     logits.push_back(variable_of_depth(depth.masked_select(depth > 0), ModelConfig{}));
   }
   const torch::Tensor all = torch::cat(logits);
@@ -162,19 +174,22 @@ void Trainer::spread_weights() {
 
 Status Trainer::start_from(const DepthNetwork& trained) {
   ModelConfig& config = networks_->depth->config;
-  if (trained->config.encoder != config.encoder || trained->config.preset != config.preset) {
-    return Status::error(StatusCode::kInvalidInput,
-                         "the weights to start from are of another encoder or preset than the "
-                         "recipe's");
+  if (trained->config.encoder == config.encoder && trained->config.preset == config.preset) {
+    std::map<std::string, torch::Tensor> tensors;
+    collect(*trained, "", tensors);
+    if (!restore(*networks_->depth, "", tensors)) {
+      return Status::error(StatusCode::kInvalidInput,
+                           "the weights to start from have other widths or another number of "
+                           "sampling steps than the recipe's network");
+    }
+  } else {
+    LCDM_RETURN_IF_ERROR(widen(trained, networks_->depth));
   }
-  std::map<std::string, torch::Tensor> tensors;
-  collect(*trained, "", tensors);
-  if (!restore(*networks_->depth, "", tensors)) {
-    return Status::error(
-        StatusCode::kInvalidInput,
-        "the weights to start from have other widths or another number of sampling "
-        "steps than the recipe's network");
-  }
+  const auto batches = make_samples(recipe_, packs_);
+  if (!batches) return batches.status();
+  std::vector<torch::Tensor> pictures;
+  for (const Batch& batch : *batches) pictures.push_back(batch.rgb.to(compute_.device));
+  measure_statistics(networks_->depth, pictures);
   config.licence = trained->config.licence;
   config.variable_mean = trained->config.variable_mean;
   config.variable_std = trained->config.variable_std;
@@ -223,7 +238,7 @@ void Trainer::set_modes() {
     DepthNetwork& depth = networks->depth;
     for (auto& buffer : depth->named_buffers()) buffer.value().copy_(averaged[buffer.key()]);
     for (const auto& module : depth->modules()) {
-      if (auto* norm = module->as<torch::nn::BatchNorm2d>()) norm->eval();
+      if (auto* norm = module->as<Norm>()) norm->eval();
     }
   };
   set(networks_);

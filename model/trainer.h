@@ -55,8 +55,9 @@ class Trainer {
   // weights are then those before the step.
   Result<Losses> advance();
 
-  // Starts the depth network from weights trained before; before the first step. Their licence
-  // comes with them. kInvalidInput: another encoder, preset or shape.
+  // Starts the depth network from weights trained before, also of a smaller encoder (widener.h);
+  // before the first step. Their licence comes with them; their batch norms' statistics are
+  // measured anew. kInvalidInput: another preset or shape, a larger encoder; errors as make_batch.
   Status start_from(const DepthNetwork& trained);
   // Starts encoder or pose network from others' weights; before the first step. Errors as
   // weight_import.h; kInvalidInput where there is no pose network.

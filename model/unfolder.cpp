@@ -23,8 +23,7 @@ Tensors tensors_of(const ModelFile& file) {
 }
 
 // Multiplies by `scale` and adds `bias`, in evaluation mode.
-void set_norm(torch::nn::BatchNorm2dImpl& bn, const torch::Tensor& scale,
-              const torch::Tensor& bias) {
+void set_norm(NormImpl& bn, const torch::Tensor& scale, const torch::Tensor& bias) {
   bn.weight.copy_(scale);
   bn.bias.copy_(bias);
   bn.running_mean.zero_();

@@ -103,7 +103,7 @@ TEST(Sampler, SecondStepOfPaperDoesNothing) {
 void shake_norms(DepthNetwork& network) {
   const torch::NoGradGuard no_grad;
   for (const auto& module : network->modules()) {
-    if (auto* norm = module->as<torch::nn::BatchNorm2d>()) {
+    if (auto* norm = module->as<Norm>()) {
       norm->running_mean.normal_(0, 0.1);
       norm->running_var.uniform_(0.7, 1.4);
       norm->weight.uniform_(0.8, 1.2);
