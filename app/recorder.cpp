@@ -119,9 +119,10 @@ bool Recorder::push(const FrameView& frame) noexcept {
   const std::unique_lock lock(push_mutex_, std::try_to_lock);
   if (!lock || !recording_) return false;
   if (frame.format != format_) {
-    if (!format_changed_.exchange(true)) work_.release();
+    if (++foreign_ >= kForeignFrames && !format_changed_.exchange(true)) work_.release();
     return false;
   }
+  foreign_ = 0;
   if (frame.bytes > frame_capacity_) return false;
   const auto index = free_.pop();
   if (!index) return false;
@@ -146,6 +147,7 @@ Status Recorder::prepare_slots(const FrameFormat& format) {
   const std::lock_guard lock(push_mutex_);
   format_ = format;
   frame_capacity_ = frame_capacity(format);
+  foreign_ = 0;
   format_changed_ = false;
   while (filled_.pop()) continue;
   while (free_.pop()) continue;

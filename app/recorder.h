@@ -67,6 +67,9 @@ class Recorder final : public DepthSink {
 
  private:
   static constexpr std::size_t kSlots = 8;
+  // So many frames of another format, one after the other, are no odd picture in a folder: the
+  // camera has changed, and the recording ends.
+  static constexpr int kForeignFrames = 10;
 
   struct Slot {
     std::vector<std::uint8_t> pixels;
@@ -104,7 +107,7 @@ class Recorder final : public DepthSink {
   std::counting_semaphore<> work_{0};     // one per entry of filled_, and one to stop
   std::atomic<bool> recording_{false};
   std::atomic<bool> stopping_{false};
-  std::atomic<bool> format_changed_{false};  // frames come that this recording cannot hold
+  std::atomic<bool> format_changed_{false};  // only frames come that this recording cannot hold
   std::atomic<std::uint64_t> frames_{0};
   std::atomic<std::uint64_t> dropped_{0};
   std::atomic<std::uint64_t> bytes_{0};
@@ -112,6 +115,7 @@ class Recorder final : public DepthSink {
 
   // The record thread's while it runs, start()'s before.
   FrameFormat format_;
+  int foreign_ = 0;  // frames of another format since the last of this one; push_mutex_ guards it
   std::size_t frame_capacity_ = 0;
   CameraModel camera_;
   std::string source_;
