@@ -80,10 +80,10 @@ void Service::look() {
   seen.effort = judge_load(seen.pipeline, now_ns);
   seen.effort_reason = ladder_.reason();
   const Judgement& now = supervisor_.judge(seen);
+  control_.press(panel_.look(now.state, now.alive, now_ns));
+  publish(now, now_ns);  // before it is said: who hears of it may ask at once
   if (now.changed) say(now);
   notify(now, seen.pipeline.frames_per_second, now_ns);
-  control_.press(panel_.look(now.state, now.alive, now_ns));
-  publish(now, now_ns);
 }
 
 // Follows heat and speed, and tells the pipeline.
