@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdio>
 #include <filesystem>
 #include <memory>
 #include <system_error>
@@ -78,6 +79,14 @@ CaptureRequest capture_request(const Config& config) {
   request.controls = {config.camera.exposure_ms, config.camera.gain,
                       config.camera.white_balance_kelvin, config.camera.power_line_hz};
   return request;
+}
+
+void settle_source(Config& config) {
+  if (config.camera.source != "auto") return;
+  config.camera.source = choose_source(capture_request(config), [](const std::string& line) {
+    std::printf("%s\n", line.c_str());
+    std::fflush(stdout);
+  });
 }
 
 Result<OpenedSource> open_source(const Config& config, const std::string& uri, Playback playback) {

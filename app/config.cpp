@@ -1,13 +1,13 @@
 #include "app/config.h"
 
 #include <algorithm>
-#include <arpa/inet.h>
 #include <cctype>
 #include <charconv>
 #include <cmath>
 #include <optional>
 #include <unistd.h>
 
+#include "app/address.h"
 #include "app/source.h"
 #include "app/toml_file.h"
 #include "firmware/nn/network.h"
@@ -24,15 +24,9 @@ const char* precision_objection(const std::string& text) {
   return parse_precision(text) ? nullptr : "is no precision: use fp32, bf16 or int8";
 }
 
-bool is_address(const std::string& text) {
-  in6_addr address{};  // the larger of both
-  return inet_pton(AF_INET, text.c_str(), &address) == 1 ||
-         inet_pton(AF_INET6, text.c_str(), &address) == 1;
-}
-
 const char* addresses_objection(const std::string& text) {
   const std::vector<std::string> addresses = listen_addresses(text);
-  if (!addresses.empty() && std::all_of(addresses.begin(), addresses.end(), is_address)) {
+  if (!addresses.empty() && std::all_of(addresses.begin(), addresses.end(), is_numeric_address)) {
     return nullptr;
   }
   return "is no numeric address: use 127.0.0.1 (this machine only), 0.0.0.0 or :: (everybody), or "

@@ -1,19 +1,17 @@
 #include "app/doctor.h"
 
 #include <algorithm>
-#include <arpa/inet.h>
 #include <cerrno>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
-#include <netinet/in.h>
 #include <sys/resource.h>
-#include <sys/socket.h>
 #include <sys/statvfs.h>
 #include <sys/timex.h>
 #include <system_error>
 #include <unistd.h>
 
+#include "app/address.h"
 #include "app/common_options.h"
 #include "drivers/v4l2_device.h"
 
@@ -125,8 +123,9 @@ std::vector<Finding> examine(const Config& config, const std::string& root) {
   findings.push_back(check_model(config, engine_bytes));
   findings.push_back(check_memory_lock(root, memory_lock_limit(), engine_bytes));
   findings.push_back(check_disk(config.record.directory, config.record.keep_free_megabytes));
-  for (const std::string& address : listen_addresses(config.http.listen)) {
-    findings.push_back(check_port(address, config.http.port));
+  const std::vector<std::string> addresses = listen_addresses(config.http.listen);
+  for (const std::string& address : addresses) {
+    findings.push_back(check_port(address, config.http.port, addresses.size() == 1));
   }
   findings.push_back(check_clock(clock_is_synchronised()));
   findings.push_back(check_hardware_watchdog(root));
@@ -237,27 +236,18 @@ Finding check_disk(const std::string& directory, int keep_free_megabytes) {
   return well("disk", text);
 }
 
-Finding check_port(const std::string& listen, int port) {
-  sockaddr_in six_or_four{};
-  sockaddr_in6 six{};
-  six_or_four.sin_family = AF_INET;
-  six_or_four.sin_port = htons(static_cast<std::uint16_t>(port));
-  six.sin6_family = AF_INET6;
-  six.sin6_port = htons(static_cast<std::uint16_t>(port));
-  const bool four = inet_pton(AF_INET, listen.c_str(), &six_or_four.sin_addr) == 1;
-  if (!four) inet_pton(AF_INET6, listen.c_str(), &six.sin6_addr);
-  const auto* address = four ? reinterpret_cast<const sockaddr*>(&six_or_four)
-                             : reinterpret_cast<const sockaddr*>(&six);
-  const int fd = socket(four ? AF_INET : AF_INET6, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  const int yes = 1;
-  setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof(yes));
-  const int error = bind(fd, address, four ? sizeof(six_or_four) : sizeof(six)) == 0 ? 0 : errno;
-  if (fd >= 0) close(fd);
+Finding check_port(const std::string& listen, int port, bool is_only) {
+  const int error = bind_error(listen, port);
   const std::string place = listen + ":" + std::to_string(port);
   if (error == EADDRINUSE) {
     return warning("port", place +
                                " is in use: by lcdm itself if it runs, else choose another "
                                "http.port");
+  }
+  if (error == EADDRNOTAVAIL && !is_only) {
+    return warning("port", place +
+                               ": this machine lacks that address now: lcdm leaves it out until "
+                               "it is started again");
   }
   if (error != 0) {
     return fault("port", place + ": " + std::generic_category().message(error) +

@@ -37,7 +37,8 @@ Finding check_model(const Config& config, std::uint64_t& engine_bytes);
 Finding check_memory_lock(const std::string& root, std::uint64_t limit_bytes,
                           std::uint64_t engine_bytes);
 Finding check_disk(const std::string& directory, int keep_free_megabytes);
-Finding check_port(const std::string& listen, int port);
+// `is_only`: lcdm listens nowhere else.
+Finding check_port(const std::string& listen, int port, bool is_only);
 Finding check_clock(bool synchronised);
 Finding check_hardware_watchdog(const std::string& root);
 Finding check_service(const std::string& root);

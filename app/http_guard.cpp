@@ -1,9 +1,9 @@
 #include "app/http_guard.h"
 
 #include <algorithm>
-#include <arpa/inet.h>
 #include <cctype>
 
+#include "app/address.h"
 #include "app/http_token.h"
 
 namespace lcdm {
@@ -39,17 +39,11 @@ std::string host_name(std::string_view host) {
   return lower(name);
 }
 
-bool is_numeric(const std::string& name) {
-  in6_addr address{};
-  return inet_pton(AF_INET, name.c_str(), &address) == 1 ||
-         inet_pton(AF_INET6, name.c_str(), &address) == 1;
-}
-
 bool is_ours(std::string_view host, std::string_view machine_name) {
   const std::string name = host_name(host);
   if (name.empty()) return false;
   const std::string machine = lower(machine_name);
-  if (name == "localhost" || is_numeric(name)) return true;
+  if (name == "localhost" || is_numeric_address(name)) return true;
   return !machine.empty() && (name == machine || name == machine + ".local");
 }
 
@@ -57,7 +51,8 @@ bool is_ours(std::string_view host, std::string_view machine_name) {
 bool is_loopback(std::string_view address) {
   constexpr std::string_view kMapped = "::ffff:";
   if (address.substr(0, kMapped.size()) == kMapped) address.remove_prefix(kMapped.size());
-  return address == "::1" || (address.substr(0, 4) == "127." && is_numeric(std::string(address)));
+  return address == "::1" ||
+         (address.substr(0, 4) == "127." && is_numeric_address(std::string(address)));
 }
 
 Verdict judge_control(const RequestFacts& facts, const ControlRule& control) {

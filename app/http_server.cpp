@@ -13,6 +13,7 @@
 #include <thread>
 #include <unistd.h>
 
+#include "app/address.h"
 #include "app/http_guard.h"
 
 // CivetWeb makes its threads with stacks of 100 KB, of which OpenBLAS, brought by OpenCV, takes 60
@@ -71,20 +72,8 @@ std::string bracketed(const std::string& address) {
 
 // Whether this machine has the address at this moment: others cannot be bound.
 bool has_address(const std::string& address) {
-  const bool is_v6 = address.find(':') != std::string::npos;
-  const int descriptor = socket(is_v6 ? AF_INET6 : AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
-  if (descriptor < 0) return false;  // a kernel without that kind of address
-  sockaddr_in v4{};
-  v4.sin_family = AF_INET;
-  sockaddr_in6 v6{};
-  v6.sin6_family = AF_INET6;
-  inet_pton(is_v6 ? AF_INET6 : AF_INET, address.c_str(),
-            is_v6 ? static_cast<void*>(&v6.sin6_addr) : static_cast<void*>(&v4.sin_addr));
-  const int bound = is_v6 ? bind(descriptor, reinterpret_cast<sockaddr*>(&v6), sizeof(v6))
-                          : bind(descriptor, reinterpret_cast<sockaddr*>(&v4), sizeof(v4));
-  const bool absent = bound != 0 && errno == EADDRNOTAVAIL;
-  close(descriptor);
-  return !absent;
+  const int error = bind_error(address, 0);
+  return error != EADDRNOTAVAIL && error != EAFNOSUPPORT;
 }
 
 // "127.0.0.1:8080,10.0.0.1:8080".

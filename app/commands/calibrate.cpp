@@ -154,14 +154,11 @@ void announce(const Calibration& calibration, double coverage, const std::string
 
 int calibrate(const CalibrateOptions& options) {
   const StopSignals signals;
-  const Result<Config> config = options.common.load();
+  Result<Config> config = options.common.load();
   if (!config) return report_unusable(config.status());
-  std::string uri = options.source.empty() ? config->camera.source : options.source;
-  if (uri == "auto") {
-    uri = choose_source(capture_request(*config),
-                        [](const std::string& line) { std::printf("%s\n", line.c_str()); });
-  }
-  Result<OpenedSource> source = open_source(uri, Playback::kOffline);
+  if (!options.source.empty()) config->camera.source = options.source;
+  settle_source(*config);
+  Result<OpenedSource> source = open_source(config->camera.source, Playback::kOffline);
   if (!source) return report_failure(source.status());
   Camera& camera = *source->camera;
   Status status = camera.configure(capture_request(*config));

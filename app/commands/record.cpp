@@ -74,11 +74,7 @@ int record(const RecordOptions& options) {
   const StopSignals signals;
   Result<Config> config = load(options);
   if (!config) return report_unusable(config.status());
-  if (config->camera.source == "auto") {
-    config->camera.source = choose_source(capture_request(*config), [](const std::string& line) {
-      std::printf("%s\n", line.c_str());
-    });
-  }
+  settle_source(*config);
   Result<OpenedSource> source = open_source(*config, config->camera.source, Playback::kOffline);
   if (!source) return report_failure(source.status());
   Camera& camera = *source->camera;

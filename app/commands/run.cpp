@@ -66,12 +66,7 @@ int run(const RunOptions& options) {
   const Result<HttpOptions> http = http_options(*config);
   if (!http) return report_unusable(http.status());
 
-  if (config->camera.source == "auto") {
-    config->camera.source = choose_source(capture_request(*config), [](const std::string& line) {
-      std::printf("%s\n", line.c_str());
-      std::fflush(stdout);
-    });
-  }
+  settle_source(*config);
   Result<OpenedSource> source = open_source(*config, config->camera.source, Playback::kLive);
   if (!source) return report_failure(source.status());
 

@@ -1,0 +1,14 @@
+// Numeric internet addresses, IPv4 and IPv6.
+#pragma once
+
+#include <string>
+
+namespace lcdm {
+
+bool is_numeric_address(const std::string& text);
+
+// Whether a server could listen there at this moment: 0, or the errno of trying. EADDRINUSE:
+// another does; EADDRNOTAVAIL, EAFNOSUPPORT: this machine has no such address. `port` 0: any port.
+int bind_error(const std::string& address, int port);
+
+}  // namespace lcdm
