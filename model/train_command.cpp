@@ -50,7 +50,8 @@ Status start_from(const std::string& path, Trainer& trainer) {
   const Result<bool> checkpoint = is_checkpoint(path);
   if (!checkpoint) return checkpoint.status();
   const auto network = *checkpoint ? load_checkpoint(path) : unfold_model(path);
-  return network ? trainer.start_from(*network) : network.status();
+  if (!network) return network.status();
+  return trainer.start_from(*network, *checkpoint ? Known::kYes : Known::kNo);
 }
 
 // Weights trained before, or by others, where the options name them.

@@ -172,7 +172,16 @@ void Trainer::spread_weights() {
   for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
 }
 
-Status Trainer::start_from(const DepthNetwork& trained) {
+Status Trainer::measure() {
+  const auto batches = make_samples(recipe_, packs_);
+  if (!batches) return batches.status();
+  std::vector<torch::Tensor> pictures;
+  for (const Batch& batch : *batches) pictures.push_back(batch.rgb.to(compute_.device));
+  measure_statistics(networks_->depth, pictures);
+  return Status::ok();
+}
+
+Status Trainer::start_from(const DepthNetwork& trained, Known statistics) {
   ModelConfig& config = networks_->depth->config;
   if (trained->config.encoder == config.encoder && trained->config.preset == config.preset) {
     std::map<std::string, torch::Tensor> tensors;
@@ -184,12 +193,9 @@ Status Trainer::start_from(const DepthNetwork& trained) {
     }
   } else {
     LCDM_RETURN_IF_ERROR(widen(trained, networks_->depth));
+    statistics = Known::kNo;
   }
-  const auto batches = make_samples(recipe_, packs_);
-  if (!batches) return batches.status();
-  std::vector<torch::Tensor> pictures;
-  for (const Batch& batch : *batches) pictures.push_back(batch.rgb.to(compute_.device));
-  measure_statistics(networks_->depth, pictures);
+  if (statistics == Known::kNo) LCDM_RETURN_IF_ERROR(measure());
   config.licence = trained->config.licence;
   config.variable_mean = trained->config.variable_mean;
   config.variable_std = trained->config.variable_std;

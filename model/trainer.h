@@ -18,6 +18,9 @@
 
 namespace lcdm::model {
 
+// Whether trained weights have their batch norms' statistics still: a model file's have not.
+enum class Known : std::uint8_t { kYes, kNo };
+
 // Where training happens.
 struct Compute {
   torch::Device device = torch::kCPU;
@@ -56,9 +59,10 @@ class Trainer {
   Result<Losses> advance();
 
   // Starts the depth network from weights trained before, also of a smaller encoder (widener.h);
-  // before the first step. Their licence comes with them; their batch norms' statistics are
-  // measured anew. kInvalidInput: another preset or shape, a larger encoder; errors as make_batch.
-  Status start_from(const DepthNetwork& trained);
+  // before the first step. Their licence comes with them; with `Known::kNo`, and in a wider
+  // network, the batch norms' statistics are measured on the first samples. kInvalidInput: another
+  // preset or shape, a larger encoder; errors as make_batch.
+  Status start_from(const DepthNetwork& trained, Known statistics);
   // Starts encoder or pose network from others' weights; before the first step. Errors as
   // weight_import.h; kInvalidInput where there is no pose network.
   Result<ImportReport> start_encoder_from(const TensorFile& file, ChannelOrder order);
@@ -87,6 +91,8 @@ class Trainer {
           const ModelConfig& config);
 
   bool past(double share) const;
+  // The depth network's batch-norm statistics, on the first samples.
+  Status measure();
   // The average and the replicas become what `networks_` is.
   void spread_weights();
   void prepare_loader();

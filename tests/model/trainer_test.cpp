@@ -208,15 +208,18 @@ TEST(Trainer, StartsFromTrainedWeights) {
   recipe.seed = 2;
   const auto second = trainer_of(recipe);
   EXPECT_FALSE(same_weights(*first, *second));
-  ASSERT_TRUE(second->start_from(first->averaged()));
+  ASSERT_TRUE(second->start_from(first->averaged(), Known::kYes));
   EXPECT_TRUE(same_weights(*first, *second));
   EXPECT_EQ(second->step(), 0);
   EXPECT_EQ(second->config().variable_mean, first->config().variable_mean);
   ModelConfig wider = first->config();
   wider.decoder_widths[0] *= 2;
-  EXPECT_EQ(second->start_from(DepthNetwork(wider)).code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(second->start_from(DepthNetwork(wider), Known::kYes).code(), StatusCode::kInvalidInput);
   recipe.encoder = EncoderKind::kXs;
-  EXPECT_EQ(trainer_of(recipe)->start_from(first->averaged()).code(), StatusCode::kInvalidInput);
+  const auto larger = trainer_of(recipe);
+  ASSERT_TRUE(larger->start_from(first->averaged(), Known::kYes));
+  EXPECT_TRUE(larger->advance());
+  EXPECT_EQ(second->start_from(larger->averaged(), Known::kYes).code(), StatusCode::kInvalidInput);
 }
 
 TEST(Trainer, SaysWhyItStopsOnNan) {

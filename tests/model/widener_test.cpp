@@ -42,7 +42,7 @@ TEST_P(Widen, ComputesWhatTheNarrowNetworkDoes) {
   const torch::Tensor rgb = torch::randn({1, 3, 64, 96});
   const torch::Tensor expected = answer(narrow, rgb);
   EXPECT_LT((answer(wide, rgb) - expected).abs().max().item<float>(),
-            0.02 * expected.std().item<float>());
+            0.05 * expected.std().item<float>());
 }
 
 // What is new is not only carried along: a step of training reaches it.
