@@ -51,24 +51,6 @@ std::int64_t count_learned_cameras(const std::vector<Pack>& packs) {
                        [](const Pack& pack) { return pack.use.learn_intrinsics; });
 }
 
-TrainedNetworks make_replica(TrainedNetworks& networks) {
-  TrainedNetworks replica(networks->depth->config, !networks->pose.is_empty(),
-                          networks->cameras.is_empty() ? 0 : networks->cameras->log_focal.size(0));
-  const auto weights = networks->named_parameters();
-  for (auto& item : replica->named_parameters()) {
-    item.value().set_data(weights[item.key()].detach());
-  }
-  return replica;
-}
-
-// A replica's statistics and configuration become those of `networks`.
-void follow(TrainedNetworks& replica, const TrainedNetworks& networks) {
-  const torch::NoGradGuard no_grad;
-  replica->depth->config = networks->depth->config;
-  const auto statistics = networks->named_buffers();
-  for (auto& item : replica->named_buffers()) item.value().copy_(statistics[item.key()]);
-}
-
 // To measure on: 16 batches of 8 samples, the same whatever the recipe's batch, both shapes in
 // turn.
 Result<std::vector<Batch>> make_samples(const Recipe& recipe, const std::vector<Pack>& packs) {
@@ -157,7 +139,7 @@ Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs, const Com
   use_channels_last(*networks_);
   int workers = recipe.workers;
   for (const Stage& stage : recipe.stages) workers = std::min(workers, stage.images);
-  for (int i = 1; i < workers; ++i) replicas_.push_back(make_replica(networks_));
+  replicas_ = std::make_unique<Replicas>(networks_, workers);
   average_ = DepthNetwork(config);
   average_->to(compute.device);
   spread_weights();
@@ -169,7 +151,7 @@ void Trainer::spread_weights() {
   std::map<std::string, torch::Tensor> tensors;
   collect(*networks_->depth, "", tensors);
   restore(*average_, "", tensors);
-  for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
+  replicas_->follow();
 }
 
 Status Trainer::measure() {
@@ -247,16 +229,7 @@ void Trainer::set_modes() {
       if (auto* norm = module->as<Norm>()) norm->eval();
     }
   };
-  set(networks_);
-  for (TrainedNetworks& replica : replicas_) set(replica);
-}
-
-void Trainer::clear_gradients() {
-  const auto clear = [](TrainedNetworks& networks) {
-    for (torch::Tensor& weight : networks->parameters()) weight.mutable_grad() = torch::Tensor();
-  };
-  clear(networks_);
-  for (TrainedNetworks& replica : replicas_) clear(replica);
+  for (TrainedNetworks& networks : replicas_->all()) set(networks);
 }
 
 std::vector<LearnedFocal> Trainer::learned_focals() const {
@@ -286,7 +259,7 @@ bool Trainer::note_score(double score) {
 
 Losses Trainer::run_batch(const Batch& batch, int k) {
   const std::int64_t images = batch.rgb.size(0);
-  const auto workers = static_cast<int>(replicas_.size()) + 1;
+  const int workers = replicas_->size();
   const double batches = static_cast<double>(recipe_.accumulate) * compute_.processes->size();
   std::vector<std::future<Losses>> running;
   for (int i = 0; i < workers; ++i) {
@@ -304,11 +277,10 @@ Losses Trainer::run_batch(const Batch& batch, int k) {
 
 Losses Trainer::run_worker(int worker, int k, const Batch& part, double share) {
   at::set_num_threads(1);  // of this thread: two whole passes side by side beat one on two threads
-  TrainedNetworks& networks =
-      worker == 0 ? networks_ : replicas_[static_cast<std::size_t>(worker - 1)];
+  TrainedNetworks& networks = replicas_->of(worker);
   // Numbered over all processes: two of them with a worker each are one with two workers.
-  const int workers = static_cast<int>(replicas_.size()) + 1;
-  const auto number = static_cast<std::uint64_t>(compute_.processes->rank() * workers + worker);
+  const auto number =
+      static_cast<std::uint64_t>(compute_.processes->rank() * replicas_->size() + worker);
   const auto batch = static_cast<std::uint64_t>(step_ * recipe_.accumulate + k);
   at::Generator generator = at::detail::createCPUGenerator(
       SampleRandom(recipe_.seed, batch, kLossStream + number).below(1U << 31));
@@ -316,62 +288,6 @@ Losses Trainer::run_worker(int worker, int k, const Batch& part, double share) {
   Losses losses = training_losses(networks, part, recipe_.losses, what, generator).times(share);
   losses.total.backward();
   return losses;
-}
-
-void Trainer::gather_workers() {
-  const torch::NoGradGuard no_grad;
-  auto weights = networks_->named_parameters();
-  auto statistics = networks_->named_buffers();
-  for (TrainedNetworks& replica : replicas_) {
-    for (const auto& item : replica->named_parameters()) {
-      torch::Tensor& sum = weights[item.key()].mutable_grad();
-      const torch::Tensor& grad = item.value().grad();
-      if (!grad.defined()) continue;
-      sum = sum.defined() ? sum.add_(grad) : grad;
-    }
-    for (const auto& item : replica->named_buffers()) statistics[item.key()].add_(item.value());
-  }
-  const auto workers = static_cast<std::int64_t>(replicas_.size()) + 1;
-  for (auto& item : statistics) {
-    if (item.value().is_floating_point()) {
-      item.value().div_(workers);
-    } else {
-      item.value().floor_divide_(workers);
-    }
-  }
-  for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
-}
-
-void Trainer::gather_processes(Losses& losses) {
-  Processes& processes = *compute_.processes;
-  if (processes.size() == 1) return;
-  const torch::NoGradGuard no_grad;
-  std::vector<torch::Tensor> own;  // what is summed: gradients, then statistics
-  for (const torch::Tensor& weight : networks_->parameters()) {
-    if (weight.grad().defined()) own.push_back(weight.grad());
-  }
-  for (torch::Tensor& buffer : networks_->buffers()) {
-    if (buffer.is_floating_point()) own.push_back(buffer.div_(processes.size()));
-  }
-  std::vector<torch::Tensor> flat;
-  flat.reserve(own.size() + 1);
-  for (const torch::Tensor& tensor : own) flat.push_back(tensor.reshape({-1}).cpu());
-  torch::Tensor numbers = torch::empty({static_cast<std::int64_t>(losses.terms.size()) + 1});
-  numbers[0] = losses.total.item<float>();
-  for (std::size_t i = 0; i < losses.terms.size(); ++i) {
-    numbers[static_cast<std::int64_t>(i) + 1] = losses.terms[i];
-  }
-  flat.push_back(numbers);
-  torch::Tensor all = torch::cat(flat);
-  processes.sum(all);
-  std::int64_t at = 0;
-  for (torch::Tensor& tensor : own) {
-    tensor.copy_(all.narrow(0, at, tensor.numel()).reshape(tensor.sizes()));
-    at += tensor.numel();
-  }
-  losses.total = all[at].clone();
-  for (double& term : losses.terms) term = all[++at].item<double>();
-  for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
 }
 
 void Trainer::update_average() {
@@ -410,7 +326,7 @@ Status not_finite(const Losses& losses, std::int64_t step) {
 Result<Losses> Trainer::advance() {
   prepare_loader();
   set_modes();
-  clear_gradients();
+  replicas_->clear_gradients();
   Losses losses;
   std::int64_t images = 0;
   for (int k = 0; k < recipe_.accumulate; ++k) {
@@ -421,8 +337,9 @@ Result<Losses> Trainer::advance() {
     images += batch->rgb.size(0);
     losses.add(run_batch(*batch, k));
   }
-  gather_workers();
-  gather_processes(losses);
+  replicas_->gather();
+  gather(networks_, *compute_.processes, losses);
+  replicas_->follow();
   if (!std::isfinite(losses.total.item<double>())) return not_finite(losses, step_);
   if (const double norm = optimizer_->clip(recipe_.clip); !std::isfinite(norm)) {
     return Status::error(StatusCode::kCorrupt,
@@ -470,7 +387,7 @@ Status Trainer::resume(const std::string& path) {
   }
   networks_->depth->config = *config;
   average_->config = *config;
-  for (TrainedNetworks& replica : replicas_) follow(replica, networks_);
+  replicas_->follow();
   step_ = step->second[0].item<std::int64_t>();
   images_ = step->second[1].item<std::int64_t>();
   best_ = best->second[0].item<float>();

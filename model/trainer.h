@@ -13,6 +13,7 @@
 #include "model/losses.h"
 #include "model/processes.h"
 #include "model/recipe.h"
+#include "model/replicas.h"
 #include "model/trained_networks.h"
 #include "model/weight_import.h"
 
@@ -97,23 +98,17 @@ class Trainer {
   void spread_weights();
   void prepare_loader();
   void set_modes();
-  void clear_gradients();
   // Losses and gradients of batch `k` of this step, shared among the workers.
   Losses run_batch(const Batch& batch, int k);
   // Of one worker's part of it; its share of the whole step weighs them.
   Losses run_worker(int worker, int k, const Batch& part, double share);
-  // Sums the workers' gradients and averages their statistics into worker 0.
-  void gather_workers();
-  // The same over all processes, and their losses.
-  void gather_processes(Losses& losses);
   void update_average();
 
   Recipe recipe_;
   const std::vector<Pack>& packs_;
   Compute compute_;
-  TrainedNetworks networks_ = nullptr;  // also worker 0's
-  // Of the other workers: the same weights in memory, gradients and statistics of their own.
-  std::vector<TrainedNetworks> replicas_;
+  TrainedNetworks networks_ = nullptr;
+  std::unique_ptr<Replicas> replicas_;  // of networks_, which is worker 0's too
   DepthNetwork average_ = nullptr;
   std::unique_ptr<AdamW> optimizer_;
   std::unique_ptr<BatchLoader> loader_;
