@@ -65,15 +65,6 @@ struct RowInput {
   int rows = 0;
 };
 
-// The rows that a call was asked for. It may make those around them as well; they are other calls'
-// to store, perhaps at this moment.
-struct OwnRows {
-  int begin = 0;
-  int end = 0;
-
-  bool has(int row) const { return row >= begin && row < end; }
-};
-
 // Where the products go: row m at data + m * stride, the residual (or null) alike.
 struct RowOutput {
   float* data = nullptr;
