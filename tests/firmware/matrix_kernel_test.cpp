@@ -315,8 +315,9 @@ void check_attention(int tokens, int head_channels, Precision precision = Precis
   std::vector<float> out(values);
   a.qkv = qkv.data();
   a.output = out.data();
-  std::vector<float> scratch(attention_scratch(a));
+  std::vector<float> scratch(attention_scratch(a) + 1, kUntouched);
   attention_range(a, 0, attention_items(a), scratch.data());
+  EXPECT_EQ(scratch.back(), kUntouched) << "wrote behind its scratch";
   for (std::size_t i = 0; i < values; ++i) {
     const int channel = static_cast<int>(i) % a.channels;
     const int token = static_cast<int>(i) / a.channels;
@@ -344,6 +345,15 @@ TEST(AttentionKernel, MixesBfloat16) {
         check_attention(tokens, head_channels, Precision::kBfloat16);
       }
     }
+  });
+}
+
+TEST(AttentionKernel, NeedsRoomForKeysAndValuesOnlyWhereTheyAreMadeNarrow) {
+  for_each_isa([] {
+    Attention a = {nullptr, 1, 33, 4 * 30, 4, nullptr};
+    const std::size_t floats = attention_scratch(a);
+    a.precision = Precision::kBfloat16;
+    EXPECT_EQ(attention_scratch(a) - floats, 33U * 15 + 17U * 30);
   });
 }
 
