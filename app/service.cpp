@@ -151,7 +151,9 @@ void Service::announce_source() {
               stats.height, stats.threads, stats.threads == 1 ? "" : "s",
               to_string(stats.precision));
   if (!stats.memory_locked) {
-    std::printf("warning: its memory may be swapped out (raise LimitMEMLOCK= or ulimit -l)\n");
+    std::printf(
+        "warning: its weights and activations may be swapped out (raise LimitMEMLOCK= or ulimit "
+        "-l)\n");
   }
 }
 
