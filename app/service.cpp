@@ -97,6 +97,7 @@ Effort Service::judge_load(const HealthSnapshot& pipeline, std::int64_t now_ns) 
   facts.throttled = heat_.throttled;
   facts.headroom_celsius = heat_.headroom_celsius;
   facts.inference_ns = pipeline.inference_p50_ns;
+  facts.has_small_network = pipeline_.has_small_engine();
   effort_ = ladder_.judge(facts);
   pipeline_.set_effort(effort_);
   return effort_;
