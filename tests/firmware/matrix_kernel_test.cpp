@@ -236,6 +236,12 @@ TEST(MatrixKernel, RowsTooLongToBeNarrowStayWide) {
       }
     }
   });
+  std::vector<float> store(packed_floats(2052, 1, Precision::kInt8));
+  const auto pack = [&] {
+    pack_matrix(
+        2052, 1, [](int, int) { return 1.0F; }, {}, store, Precision::kInt8);
+  };
+  EXPECT_DEATH(pack(), "rows_fit");
 }
 
 TEST(MatrixKernel, ConstantRowsAndZeroWeightsHaveNoRangeAndStayRight) {
