@@ -202,7 +202,9 @@ Finding check_model(const Config& config, std::uint64_t& engine_bytes) {
 // Memory that was swapped out comes back too late for a frame.
 Finding check_memory_lock(const std::string& root, std::uint64_t limit_bytes,
                           std::uint64_t engine_bytes) {
-  if (limit_bytes >= engine_bytes) return well("memory", "the engine's memory may be locked");
+  if (limit_bytes >= engine_bytes) {
+    return well("memory", "the engine's arena and weights may be locked");
+  }
   std::ifstream swaps(root + "/proc/swaps");
   std::string header;
   std::string first;

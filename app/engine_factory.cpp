@@ -19,10 +19,11 @@ struct Model {
   std::optional<ModelFile> first;
 
   Result<EnginePtr> prepare(const EngineOptions& options, const FrameFormat& format,
-                            const CameraModel& camera) const {
+                            const CameraModel& camera, const Pipeline::Alive& alive) const {
     if (first) return Engine::prepare(*first, options, format, camera);
     const Result<ModelFile> file = load_model(config);
     if (!file) return file.status();
+    alive();
     return Engine::prepare(*file, options, format, camera);
   }
 };
@@ -40,11 +41,12 @@ NetworkSize smaller_size(NetworkSize full) {
 EngineFactories engine_factories(const Config& config, ModelFile first) {
   auto model = std::make_shared<Model>(Model{config, std::move(first)});
   EngineFactories factories;
-  factories.full = [model](const FrameFormat& format, const CameraModel& camera) {
-    return model->prepare(engine_options(model->config), format, camera);
+  factories.full = [model](const FrameFormat& format, const CameraModel& camera,
+                           const Pipeline::Alive& alive) {
+    return model->prepare(engine_options(model->config), format, camera, alive);
   };
-  factories.small = [model](const FrameFormat& format,
-                            const CameraModel& camera) -> Result<EnginePtr> {
+  factories.small = [model](const FrameFormat& format, const CameraModel& camera,
+                            const Pipeline::Alive& alive) -> Result<EnginePtr> {
     EngineOptions options = engine_options(model->config);
     const NetworkSize full = options.width > 0 ? NetworkSize{options.width, options.height}
                                                : choose_network_size(camera);
@@ -53,7 +55,7 @@ EngineFactories engine_factories(const Config& config, ModelFile first) {
     options.height = small.height;
     const bool same = small.width >= full.width && small.height >= full.height;
     Result<EnginePtr> engine =
-        same ? Result<EnginePtr>(EnginePtr()) : model->prepare(options, format, camera);
+        same ? Result<EnginePtr>(EnginePtr()) : model->prepare(options, format, camera, alive);
     model->first.reset();
     return engine;
   };

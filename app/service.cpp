@@ -97,6 +97,7 @@ Effort Service::judge_load(const HealthSnapshot& pipeline, std::int64_t now_ns) 
   facts.throttled = heat_.throttled;
   facts.headroom_celsius = heat_.headroom_celsius;
   facts.inference_ns = pipeline.inference_p50_ns;
+  facts.has_small_network = pipeline_.has_small_engine();
   effort_ = ladder_.judge(facts);
   pipeline_.set_effort(effort_);
   return effort_;
@@ -151,7 +152,9 @@ void Service::announce_source() {
               stats.height, stats.threads, stats.threads == 1 ? "" : "s",
               to_string(stats.precision));
   if (!stats.memory_locked) {
-    std::printf("warning: its memory may be swapped out (raise LimitMEMLOCK= or ulimit -l)\n");
+    std::printf(
+        "warning: its weights and activations may be swapped out (raise LimitMEMLOCK= or ulimit "
+        "-l)\n");
   }
 }
 

@@ -150,8 +150,9 @@ Status add_precisions(const Options& options, const Estimator& exact,
   struct Distance {
     explicit Distance(std::string precision) : name(std::move(precision)) {}
     ~Distance() {
+      if (frames == 0) return;
       std::printf("%s: log depth differs by %.5f in the mean of %d frames, %.5f in the worst\n",
-                  name.c_str(), sum / std::max(1, frames), frames, worst);
+                  name.c_str(), sum / frames, frames, worst);
     }
     std::string name;
     double sum = 0;
@@ -159,16 +160,14 @@ Status add_precisions(const Options& options, const Estimator& exact,
     int frames = 0;
   };
   for (const std::string& name : options.precisions) {
-    const auto engine = engine_estimator(options.model, *parse_precision(name), kEngineThreads);
+    const auto engine =
+        engine_estimator(options.model, *parse_precision(name), kEngineThreads, options.share);
     if (!engine) return engine.status();
     const auto distance = std::make_shared<Distance>(name);
     candidates.push_back({name, [exact, distance, engine = *engine](const PackFrame& frame) {
                             const cv::Mat depth = engine(frame);
-                            cv::Mat logs[2];
-                            cv::log(depth, logs[0]);
-                            cv::log(exact(frame), logs[1]);
-                            const double here = cv::norm(logs[0], logs[1], cv::NORM_L1) /
-                                                static_cast<double>(depth.total());
+                            if (depth.empty()) return depth;  // counted as missing
+                            const double here = log_distance(depth, exact(frame));
                             distance->sum += here;
                             distance->worst = std::max(distance->worst, here);
                             ++distance->frames;
@@ -223,10 +222,12 @@ void add_evaluate(CLI::App& app, Status& status) {
       ->add_option("--steps", options->steps,
                    "Sampling steps of the checkpoint, such as 0 1 2 3 5 10 (0 to its own)")
       ->check(CLI::Range(0, ModelConfig::kDiffusionSteps));
-  command->add_option("--model", options->model, "Exported model file")->check(CLI::ExistingFile);
+  auto* model = command->add_option("--model", options->model, "Exported model file")
+                    ->check(CLI::ExistingFile);
   command
       ->add_option("--precision", options->precisions,
-                   "The model file in the device's engine too, at fp32, bf16 or int8")
+                   "The model file (--model) in the device's engine too, at fp32, bf16 or int8")
+      ->needs(model)
       ->check(CLI::IsMember({"fp32", "bf16", "int8"}));
   command->add_option("--estimates", options->estimates, "Folder of NAME.tiff or NAME.png depth")
       ->check(CLI::ExistingDirectory);

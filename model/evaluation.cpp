@@ -142,19 +142,23 @@ class Engines {
 
 }  // namespace
 
-Result<Estimator> engine_estimator(const std::string& path, Precision precision, int threads) {
+Result<Estimator> engine_estimator(const std::string& path, Precision precision, int threads,
+                                   double share) {
   Result<ModelFile> file = ModelFile::load(path);
   if (!file) return file.status();
   const auto engines = std::make_shared<Engines>(std::move(*file), precision, threads);
-  const Result<Engine*> first = engines->of_size({kDeployed[0][0], kDeployed[0][1]});
-  if (!first) return first.status();
-  if ((*first)->stats().precision != precision) {
-    return Status::error(StatusCode::kUnsupported,
-                         "--precision %s: this processor has no instructions for it",
-                         to_string(precision));
+  // Both now, so that none is missing when frames ask for it.
+  for (const int(&size)[2] : kDeployed) {
+    const Result<Engine*> engine = engines->of_size(deployed_size({size[0], size[1]}, share));
+    if (!engine) return engine.status();
+    if ((*engine)->stats().precision != precision) {
+      return Status::error(StatusCode::kUnsupported,
+                           "--precision %s: this processor has no instructions for it",
+                           to_string(precision));
+    }
   }
-  return Estimator([engines](const PackFrame& frame) -> cv::Mat {
-    const torch::Tensor input = input_of(frame, 1).permute({0, 2, 3, 1}).contiguous();
+  return Estimator([engines, share](const PackFrame& frame) -> cv::Mat {
+    const torch::Tensor input = input_of(frame, share).permute({0, 2, 3, 1}).contiguous();
     const cv::Size size(static_cast<int>(input.size(2)), static_cast<int>(input.size(1)));
     const Result<Engine*> engine = engines->of_size(size);
     if (!engine) return {};
@@ -165,6 +169,13 @@ Result<Estimator> engine_estimator(const std::string& path, Precision precision,
         torch::from_blob(const_cast<float*>(depth->data()), {size.height, size.width});
     return metres_of(canonical, frame, engines->config());
   });
+}
+
+double log_distance(const cv::Mat& a, const cv::Mat& b) {
+  cv::Mat logs[2];
+  cv::log(a, logs[0]);
+  cv::log(b, logs[1]);
+  return cv::norm(logs[0], logs[1], cv::NORM_L1) / static_cast<double>(a.total());
 }
 
 Estimator maps_estimator(const std::string& folder) {

@@ -23,7 +23,11 @@ Estimator network_estimator(DepthNetwork& network, int steps, double share = 1);
 Result<Estimator> file_estimator(const std::string& path, double share = 1);
 // The same file in the device's engine at a precision; kUnsupported where this processor would
 // compute in a wider one. `threads` of the engine.
-Result<Estimator> engine_estimator(const std::string& path, Precision precision, int threads);
+Result<Estimator> engine_estimator(const std::string& path, Precision precision, int threads,
+                                   double share = 1);
+
+// Mean difference of log depth; both of one size, as two estimators of one share make of a frame.
+double log_distance(const cv::Mat& a, const cv::Mat& b);
 // A folder of a teacher's maps, NAME.png in 1/256 m.
 Estimator maps_estimator(const std::string& folder);
 // NAME.tiff (float metres) or NAME.png (16 bit, millimetres) of a folder.

@@ -148,7 +148,7 @@ void print_text(const BenchResult& result) {
   std::printf("preprocess %.2f MB\n", static_cast<double>(stats.preprocess_bytes) * 1e-6);
   std::printf("peak RSS   %.1f MB\n", static_cast<double>(os::peak_rss_bytes()) * 1e-6);
   std::printf("heap       %g allocations a frame\n", result.allocations_per_frame);
-  std::printf("faults     %g page faults a frame; memory %slocked against swapping\n",
+  std::printf("faults     %g page faults a frame; arena and weights %slocked against swapping\n",
               result.faults_per_frame, stats.memory_locked ? "" : "not ");
 }
 

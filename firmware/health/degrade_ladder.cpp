@@ -33,12 +33,21 @@ const char* to_string(Effort effort) {
       return "smaller network";
     case Effort::kSmallNetworkRest:
       return "smaller network with rests";
+    case Effort::kRest:
+      return "full network with rests";
   }
   return "unknown";
 }
 
+bool takes_small_network(Effort effort) {
+  return effort == Effort::kSmallNetwork || effort == Effort::kSmallNetworkRest;
+}
+
+bool rests(Effort effort) { return effort == Effort::kSmallNetworkRest || effort == Effort::kRest; }
+
 Effort DegradeLadder::judge(const LoadFacts& facts) {
   const std::int64_t now = facts.now_ns;
+  follow_network(facts.has_small_network);
   const char* why = strain(facts);
   if (why == nullptr) {
     strained_since_ns_ = -1;
@@ -52,7 +61,7 @@ Effort DegradeLadder::judge(const LoadFacts& facts) {
   }
   const bool settled = last_lowered_ns_ < 0 || now - last_lowered_ns_ >= kSettleNs;
   if (why != nullptr && settled && now - strained_since_ns_ >= kStrainNs) {
-    lower(now, why);
+    lower(facts, why);
   } else if (effort_ != Effort::kFull && at_ease_since_ns_ >= 0 &&
              now - std::max(at_ease_since_ns_, last_lowered_ns_) >= hold_ns_) {
     raise(now);
@@ -60,27 +69,37 @@ Effort DegradeLadder::judge(const LoadFacts& facts) {
   return effort_;
 }
 
+// A camera that came back different may have taken the smaller network away, or brought one: on
+// with the nearest rung that there is. Without a smaller network nothing makes a slow one faster.
+void DegradeLadder::follow_network(bool has_small) {
+  if (has_small && effort_ == Effort::kRest) effort_ = Effort::kSmallNetwork;
+  if (has_small || !takes_small_network(effort_)) return;
+  effort_ = reason_ == kSlow ? Effort::kFull : Effort::kRest;
+  if (effort_ == Effort::kFull) reason_ = "";
+}
+
 // Why there is too much work, or null. A slow network is cured by the smaller one only: a rest
 // would make it slower.
 const char* DegradeLadder::strain(const LoadFacts& facts) const {
-  if (effort_ != Effort::kSmallNetworkRest) {
+  if (!rests(effort_)) {
     if (facts.throttled) return kThrottled;
     if (facts.headroom_celsius < kHotHeadroom) return kHot;
   }
   const bool slow = static_cast<double>(facts.inference_ns) * 1e-9 * least_rate_ > 1;
-  return slow && effort_ == Effort::kFull ? kSlow : nullptr;
+  return slow && facts.has_small_network && effort_ == Effort::kFull ? kSlow : nullptr;
 }
 
 bool DegradeLadder::at_ease(const LoadFacts& facts) const {
   return !facts.throttled && facts.headroom_celsius > kCoolHeadroom;
 }
 
-void DegradeLadder::lower(std::int64_t now_ns, const char* why) {
-  const bool failed_soon = last_raised_ns_ >= 0 && now_ns - last_raised_ns_ < kFailedSoonNs;
+void DegradeLadder::lower(const LoadFacts& facts, const char* why) {
+  const bool failed_soon = last_raised_ns_ >= 0 && facts.now_ns - last_raised_ns_ < kFailedSoonNs;
   hold_ns_ = failed_soon ? std::min(2 * hold_ns_, kMostHoldNs) : kFirstHoldNs;
-  effort_ = effort_ == Effort::kFull ? Effort::kSmallNetwork : Effort::kSmallNetworkRest;
+  const Effort first = facts.has_small_network ? Effort::kSmallNetwork : Effort::kRest;
+  effort_ = effort_ == Effort::kFull ? first : Effort::kSmallNetworkRest;
   reason_ = why;
-  last_lowered_ns_ = now_ns;
+  last_lowered_ns_ = facts.now_ns;
   strained_since_ns_ = -1;
   ++lowered_;
 }

@@ -1,5 +1,6 @@
-// Less work before it is forced upon us: a smaller network, then rest between frames, when the
-// board is hot or the network is slower than depth is wanted. Pure: time comes in as a number.
+// Less work before it is forced upon us: a smaller network (where there is one), then rest between
+// frames, when the board is hot or the network is slower than depth is wanted. Pure: time comes in
+// as a number.
 #pragma once
 
 #include <cstdint>
@@ -7,20 +8,24 @@
 
 namespace lcdm {
 
-// How much work goes into depth, from all to least.
+// How much work goes into depth.
 enum class Effort : std::uint8_t {
   kFull,
   kSmallNetwork,      // the smaller network, prepared at the start
   kSmallNetworkRest,  // and after each frame a rest as long as its inference took
+  kRest,              // instead of both where there is no smaller network: the full one and rests
 };
 
 const char* to_string(Effort effort);
+bool takes_small_network(Effort effort);
+bool rests(Effort effort);
 
 struct LoadFacts {
   std::int64_t now_ns = 0;  // CLOCK_MONOTONIC
   bool throttled = false;   // the system holds the processor back
   double headroom_celsius = std::numeric_limits<double>::infinity();  // to the nearest limit
   std::int64_t inference_ns = -1;  // of a typical frame lately; negative: none yet
+  bool has_small_network = true;   // a smaller network is prepared, for the camera there is now
 };
 
 // Belongs to one thread: main.
@@ -38,9 +43,10 @@ class DegradeLadder {
   std::uint64_t raised() const { return raised_; }
 
  private:
+  void follow_network(bool has_small);
   const char* strain(const LoadFacts& facts) const;
   bool at_ease(const LoadFacts& facts) const;
-  void lower(std::int64_t now_ns, const char* why);
+  void lower(const LoadFacts& facts, const char* why);
   void raise(std::int64_t now_ns);
 
   const double least_rate_;

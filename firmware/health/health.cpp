@@ -64,6 +64,11 @@ void Health::note_reopened() {
   add(reopened_);
 }
 
+void Health::note_prepared(std::int64_t now_ns) {
+  add(prepared_);
+  beat_infer(now_ns);
+}
+
 void Health::note_recovery(RecoveryRung rung) { add(recovery_[static_cast<std::size_t>(rung)]); }
 
 void Health::note_inferred(std::uint64_t sequence, std::int64_t sensor_ns,
@@ -88,6 +93,7 @@ HealthSnapshot Health::snapshot(std::int64_t now_ns) const {
   out.corrupt = corrupt_.load(kRelaxed);
   out.failed = failed_.load(kRelaxed);
   out.timeouts = timeouts_.load(kRelaxed);
+  out.prepared = prepared_.load(kRelaxed);
   out.reopened = reopened_.load(kRelaxed);
   for (std::size_t i = 0; i < kRecoveryRungs; ++i) out.recovery[i] = recovery_[i].load(kRelaxed);
   out.resets_skipped = resets_skipped_.load(kRelaxed);

@@ -43,6 +43,7 @@ struct HealthSnapshot {
   std::uint64_t corrupt = 0;   // frames whose bytes were broken
   std::uint64_t failed = 0;    // frames the engine refused
   std::uint64_t timeouts = 0;  // waits for the camera that ended empty
+  std::uint64_t prepared = 0;  // steps done towards engines: files read, weights packed
   std::uint64_t reopened = 0;  // times the camera was opened again after a fault
   std::array<std::uint64_t, kRecoveryRungs> recovery{};  // times each RecoveryRung was stepped on
   std::uint64_t resets_skipped = 0;  // port resets that were not possible: no port, no permission
@@ -73,6 +74,7 @@ class Health {
   void note_corrupt() { add(corrupt_); }                                      // capture, infer
   void note_failed() { add(failed_); }                                        // infer
   void note_skipped() { add(skipped_); }                                      // infer
+  void note_prepared(std::int64_t now_ns);                                    // infer; a beat too
   void note_inferred(std::uint64_t sequence, std::int64_t sensor_ns,          // infer
                      std::int64_t inference_ns, std::int64_t done_ns);        //
   void set_dropped(std::uint64_t total) { dropped_.store(total, kRelaxed); }  // capture
@@ -93,6 +95,7 @@ class Health {
   std::atomic<PipelineState> state_{PipelineState::kStopped};
   Counter captured_{0}, inferred_{0}, dropped_{0}, corrupt_{0}, failed_{0}, timeouts_{0};
   Counter reopened_{0}, resets_skipped_{0}, sequence_gaps_{0}, sequence_{0}, skipped_{0};
+  Counter prepared_{0};
   std::array<Counter, kRecoveryRungs> recovery_{};
   std::atomic<std::int64_t> sensor_ns_{-1}, latency_ns_{-1};
   std::atomic<std::int64_t> capture_beat_ns_{-1}, infer_beat_ns_{-1};

@@ -51,7 +51,7 @@ const Judgement& Supervisor::judge(const Observation& seen) {
   follow_progress(seen);
   count_missed(seen);
   const std::int64_t silence = seen.now_ns - last_progress_ns_;
-  judgement_.alive = late_vital(seen) == nullptr && silence <= options_.depth_deadline_ns;
+  judgement_.alive = late_vital() == nullptr && silence <= options_.depth_deadline_ns;
   judgement_.ready = judgement_.ready || waiting_ || seen.pipeline.inferred > 0;
   const Finding now = find(seen);
   const bool other_state = !begun_ || now.state != judgement_.state;
@@ -64,8 +64,9 @@ const Judgement& Supervisor::judge(const Observation& seen) {
   return judgement_;
 }
 
-// Depth that comes is progress; so is every moment in which it cannot come, because the camera
-// gives nothing and the pipeline says so.
+// Depth that comes is progress, and so is each step towards an engine for a camera that came back
+// different; so is every moment in which it cannot come, because the camera gives nothing and the
+// pipeline says so.
 void Supervisor::follow_progress(const Observation& seen) {
   const HealthSnapshot& pipeline = seen.pipeline;
   main_gap_ns_ = begun_ ? seen.now_ns - last_call_ns_ : 0;
@@ -73,9 +74,11 @@ void Supervisor::follow_progress(const Observation& seen) {
   if (pipeline.captured != captured_) last_frame_ns_ = seen.now_ns;
   const bool frames_come = last_frame_ns_ >= 0 && seen.now_ns - last_frame_ns_ < kFramesComeNs;
   waiting_ = gives_nothing(pipeline.state) && !frames_come;
-  if (!begun_ || waiting_ || pipeline.inferred != inferred_) last_progress_ns_ = seen.now_ns;
+  const bool nearer = pipeline.inferred != inferred_ || pipeline.prepared != prepared_;
+  if (!begun_ || waiting_ || nearer) last_progress_ns_ = seen.now_ns;
   captured_ = pipeline.captured;
   inferred_ = pipeline.inferred;
+  prepared_ = pipeline.prepared;
 }
 
 // Each miss once, however long it lasts.
@@ -95,7 +98,7 @@ void Supervisor::count_missed(const Observation& seen) {
   }
 }
 
-const char* Supervisor::late_vital(const Observation&) const {
+const char* Supervisor::late_vital() const {
   for (std::size_t i = 0; i < vital_late_.size(); ++i) {
     if (vital_late_[i]) return kVitalThreads[i];
   }
@@ -128,7 +131,7 @@ Supervisor::Finding Supervisor::find(const Observation& seen) const {
 }
 
 Supervisor::Finding Supervisor::find_fault(const Observation& seen) const {
-  if (const char* thread = late_vital(seen)) {
+  if (const char* thread = late_vital()) {
     return {DeviceState::kFault, "thread %s gives no sign of life", thread};
   }
   return {DeviceState::kFault, "frames come, but no depth for %.0f s%s%s",

@@ -185,7 +185,7 @@ EngineStats Engine::stats() const {
           .width = network_.width(),
           .height = network_.height(),
           .threads = pool_.workers(),
-          .precision = kernels::native_precision(options_.precision, Network::kSizeStep),
+          .precision = kernels::native_precision(options_.precision),
           .memory_locked = program_.memory_locked(),
           .model_name = config.name,
           .model_licence = config.licence,

@@ -42,7 +42,9 @@ struct EngineStats {
   int height = 0;
   int threads = 0;
   Precision precision = Precision::kFloat32;  // what is in use
-  bool memory_locked = false;                 // against swapping: the process was allowed to
+  // Arena and weights, against swapping: the process was allowed to. Never what preprocess_bytes
+  // counts.
+  bool memory_locked = false;
   std::string model_name;
   std::string model_licence;
   std::uint64_t model_hash = 0;

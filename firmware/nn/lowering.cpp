@@ -130,7 +130,7 @@ class Lowering {
       if (part.output.residual != nullptr) part.output.residual += begin * a.output.stride;
       kernels::multiply_rows(part.input, part.weights, part.output);
     };
-    return add_step(args, kernel, args.input.rows, 8);
+    return add_step(args, kernel, args.input.rows, kernels::kRowsOfRange);
   }
 
   void add_input(const Source& source, kernels::Conv3x3& args) const {

@@ -53,13 +53,14 @@ enum class Activation : std::uint8_t { kNone, kSilu, kElu, kRelu };
 enum class Padding : std::uint8_t { kZero, kReflect };
 enum class Upsampling : std::uint8_t { kNone, kNearest, kBilinear };  // x2, while it is read
 
-// What the products of 1x1 convolutions, linear layers and attention multiply. They add in float
-// (kInt8: exactly); activations, 3x3 convolutions and the encoder's first block stay in float.
+// What products multiply: those of 1x1 convolutions (the nine that stand for a 3x3 of a doubled
+// input among them), of linear layers and of attention. They add in float (kInt8: exactly).
+// Activations, all other 3x3 convolutions and the encoder's first block stay in float.
 enum class Precision : std::uint8_t {
   kFloat32,
   kBfloat16,
   kInt8,  // weights with a scale for each column, activations with a range for some pixels
-          // together; attention in kBfloat16
+          // together; attention in kBfloat16 where the processor has that too, else in float
 };
 
 const char* to_string(Precision precision);

@@ -55,7 +55,7 @@ class Program {
 
   std::size_t arena_bytes() const { return arena_.bytes() + scratch_.bytes(); }
   std::size_t constant_bytes() const { return constants_.bytes(); }
-  // Nothing that a run reads or writes can be swapped out.
+  // No activation, scratch or weight can be swapped out.
   bool memory_locked() const { return arena_.locked() && scratch_.locked() && constants_.locked(); }
 
  private:

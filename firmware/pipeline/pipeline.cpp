@@ -50,6 +50,7 @@ Pipeline::Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* deco
       decoder_(decoder),
       sinks_(std::move(sinks)),
       options_(std::move(options)),
+      has_small_engine_(make_small_engine_ != nullptr),
       ladder_(options_.recovery, os::monotonic_ns()) {}
 
 Status Pipeline::start() {
@@ -72,6 +73,7 @@ Status Pipeline::start() {
   }
   stopping_ = false;
   prepared_generation_ = generation_;
+  health_.beat_infer(os::monotonic_ns());  // its last one was before the camera's start
   infer_thread_ = std::thread([this] { infer_loop(); });
   capture_thread_ = std::thread([this, status] { capture_loop(status); });
   return Status::ok();
@@ -169,9 +171,7 @@ void Pipeline::infer_loop() {
 }
 
 // A processor that works half the time only cools down. Frames that come meanwhile are skipped.
-bool Pipeline::resting() const {
-  return effort_ == Effort::kSmallNetworkRest && os::monotonic_ns() < rest_until_ns_;
-}
+bool Pipeline::resting() const { return rests(effort_) && os::monotonic_ns() < rest_until_ns_; }
 
 // Frames come, but no depth: one is a count, a silence is a state.
 void Pipeline::note_fault(const Status& status) {
@@ -210,13 +210,7 @@ Status Pipeline::prepare_engine(const Source& source) {
     if (!decoded) return decoded.status();
     pixels = *decoded;
   }
-  Result<std::unique_ptr<Engine>> made = make_engine_(pixels, source.model);
-  if (!made) return made.status();
-  engine_ = std::move(*made);
-  if (make_small_engine_) {
-    Result<std::unique_ptr<Engine>> small = make_small_engine_(pixels, source.model);
-    if (small) small_engine_ = std::move(*small);  // else do without: depth waits for no spare
-  }
+  LCDM_RETURN_IF_ERROR(make_engines(pixels, source.model));
   const EngineView full = view_of(*engine_);
   const EngineView small = small_engine_ ? view_of(*small_engine_) : full;
   millimetres_.assign(std::max(pixels_of(full.depth_camera), pixels_of(small.depth_camera)), 0);
@@ -226,9 +220,26 @@ Status Pipeline::prepare_engine(const Source& source) {
   return Status::ok();
 }
 
+// This takes a slow board seconds: each step is a sign of life.
+Status Pipeline::make_engines(const FrameFormat& pixels, const CameraModel& model) {
+  const Alive alive = [this] { health_.note_prepared(os::monotonic_ns()); };
+  alive();
+  Result<std::unique_ptr<Engine>> made = make_engine_(pixels, model, alive);
+  alive();
+  if (!made) return made.status();
+  engine_ = std::move(*made);
+  if (make_small_engine_) {
+    Result<std::unique_ptr<Engine>> small = make_small_engine_(pixels, model, alive);
+    alive();
+    if (small) small_engine_ = std::move(*small);  // else do without: depth waits for no spare
+  }
+  has_small_engine_ = small_engine_ != nullptr;
+  return Status::ok();
+}
+
 Status Pipeline::infer(const FrameView& captured) {
   if (!engine_) return engine_status_;
-  const bool small = effort_ != Effort::kFull && small_engine_;
+  const bool small = takes_small_network(effort_) && small_engine_;
   Engine& engine = small ? *small_engine_ : *engine_;
   FrameView pixels = captured;
   if (captured.format.pixel == PixelFormat::kMjpeg) {

@@ -45,10 +45,13 @@ struct PipelineOptions {
 // any thread.
 class Pipeline {
  public:
+  // What a factory calls between its steps, each of which may take a slow board seconds: the infer
+  // thread does not hang.
+  using Alive = std::function<void()>;
   // Makes the engine for a camera. Called by start, and on the infer thread when a camera comes
   // back with another format or model.
-  using EngineFactory =
-      std::function<Result<std::unique_ptr<Engine>>(const FrameFormat&, const CameraModel&)>;
+  using EngineFactory = std::function<Result<std::unique_ptr<Engine>>(
+      const FrameFormat&, const CameraModel&, const Alive&)>;
 
   // What the camera says about itself.
   struct Source {
@@ -85,6 +88,10 @@ class Pipeline {
   // How much work goes into depth, from the next frame on. Any thread.
   void set_effort(Effort effort) { effort_ = effort; }
 
+  // Whether less effort has a network of its own; false: the only engine goes on with it. Until the
+  // first engine is made, whether one is to be.
+  bool has_small_engine() const { return has_small_engine_; }
+
   const Health& health() const { return health_; }
   Source source() const;
   EngineView engine() const;
@@ -120,6 +127,7 @@ class Pipeline {
   void infer_loop();
   void follow_source(std::uint64_t generation);
   Status prepare_engine(const Source& source);
+  Status make_engines(const FrameFormat& pixels, const CameraModel& model);
   bool resting() const;
   Status infer(const FrameView& captured);
   void deliver(const DepthFrame& frame);
@@ -137,6 +145,7 @@ class Pipeline {
   std::atomic<bool> stopping_{false};
   std::atomic<Effort> effort_{Effort::kFull};
   std::atomic<bool> small_in_use_{false};  // for the newest depth; written by infer
+  std::atomic<bool> has_small_engine_;     // written by infer
   Health health_;
   Mailbox<Captured> mailbox_;
   std::optional<FramePool> pool_;   // capture thread; replaced only while nothing is lent

@@ -172,6 +172,27 @@ TEST(SmallerNetwork, HasAboutHalfThePixelsInTheSameShape) {
   EXPECT_EQ(smaller_size({64, 64}).width, 64) << "there is none below";
 }
 
+// The first pair comes from the file that is in memory; later the file is read again, a step more.
+TEST(EngineFactories, SayThatTheyLiveBetweenTheFileAndTheEngine) {
+  Config config;
+  config.model.file = "model/weights/lcdm-xxs.safetensors";
+  config.model.width = config.model.height = 64;
+  Result<ModelFile> file = ModelFile::load(config.model.file);
+  ASSERT_TRUE(file);
+  const EngineFactories factories = engine_factories(config, std::move(*file));
+  const FrameFormat format = {PixelFormat::kRgb24, 64, 64, 3 * 64};
+  const CameraModel camera = CameraModel::from_field_of_view(64, 64, 60);
+  int steps = 0;
+  const auto alive = [&steps] { ++steps; };
+  ASSERT_TRUE(factories.full(format, camera, alive));
+  EXPECT_EQ(steps, 0);
+  const auto small = factories.small(format, camera, alive);
+  ASSERT_TRUE(small);
+  EXPECT_EQ(*small, nullptr) << "64x64 is as small as it can be";
+  ASSERT_TRUE(factories.full(format, camera, alive));
+  EXPECT_EQ(steps, 1);
+}
+
 // The table that people read is the one that blinks.
 TEST(LightPatterns, StandInTheManuals) {
   for (const char* manual : {"app/README.md", "systemd/lcdm.toml"}) {

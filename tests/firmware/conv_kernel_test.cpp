@@ -9,12 +9,6 @@
 namespace lcdm::kernels {
 namespace {
 
-using test::for_each_isa;
-using test::Image;
-using test::make_image;
-using test::Random;
-using test::to_floats;
-
 Image upsampled(const Image& in, Upsampling how) {
   if (how == Upsampling::kNone) return in;
   Image out{in.height * 2, in.width * 2, in.channels, {}};
@@ -37,76 +31,25 @@ Image upsampled(const Image& in, Upsampling how) {
   return out;
 }
 
-Image joined(const Image& a, const Image& b) {
-  Image out{a.height, a.width, a.channels + b.channels, {}};
-  for (int y = 0; y < a.height; ++y) {
-    for (int x = 0; x < a.width; ++x) {
-      for (int c = 0; c < a.channels; ++c) out.values.push_back(a.at(y, x, c));
-      for (int c = 0; c < b.channels; ++c) out.values.push_back(b.at(y, x, c));
-    }
-  }
-  return out;
+// The direct convolution of the channels after the first `skipped`.
+PackedMatrix without(const Filter& filter, int skipped, std::vector<float>& store) {
+  const int used = filter.channels - skipped;
+  return pack_matrix(
+      used * 9, filter.columns,
+      [&](int k, int n) { return filter.at(n, skipped + k % used, k / used); }, filter.bias, store);
 }
 
-// weight(n, c, tap) as [columns][channels][9].
-struct Filter {
-  int columns;
-  int channels;
-  std::vector<float> weights;
-  std::vector<float> bias;
-  std::vector<float> packed_store;
-  PackedMatrix packed;
-
-  Filter(Random& random, int out_channels, int in_channels)
-      : columns(out_channels),
-        channels(in_channels),
-        weights(random.reals(static_cast<std::size_t>(out_channels * in_channels * 9))),
-        bias(random.reals(static_cast<std::size_t>(out_channels))),
-        packed_store(packed_floats(in_channels * 9, out_channels)),
-        packed(pack_matrix(
-            in_channels * 9, out_channels,
-            [&](int k, int n) {
-              return static_cast<float>(at(n, k % in_channels, k / in_channels));
-            },
-            bias, packed_store)) {}
-  // The direct convolution of the channels after the first `skipped`.
-  PackedMatrix without(int skipped, std::vector<float>& store) const {
-    const int used = channels - skipped;
-    return pack_matrix(
-        used * 9, columns,
-        [&](int k, int n) { return static_cast<float>(at(n, skipped + k % used, k / used)); }, bias,
-        store);
-  }
-  // The first `count` channels, tap by tap.
-  PackedMatrix taps_of(int count, std::vector<float>& store) const {
-    return pack_matrix(
-        count, 9 * columns,
-        [&](int k, int n) { return static_cast<float>(at(n % columns, k, n / columns)); }, {},
-        store);
-  }
-  double at(int n, int c, int tap) const {
-    return static_cast<double>(weights[static_cast<std::size_t>((n * channels + c) * 9 + tap)]);
-  }
-};
+// The first `count` channels, tap by tap.
+PackedMatrix taps_of(const Filter& filter, int count, std::vector<float>& store) {
+  return pack_matrix(
+      count, 9 * filter.columns,
+      [&](int k, int n) { return filter.at(n % filter.columns, k, n / filter.columns); }, {},
+      store);
+}
 
 void expect_convolved(const Image& in, const Filter& filter, const Conv3x3& conv,
                       const std::vector<float>& out) {
-  std::size_t i = 0;
-  for (int y = 0; y < in.height / conv.stride; ++y) {
-    for (int x = 0; x < in.width / conv.stride; ++x) {
-      for (int n = 0; n < filter.columns; ++n, ++i) {
-        double sum = static_cast<double>(filter.bias[static_cast<std::size_t>(n)]);
-        for (int t = 0; t < 9; ++t) {
-          for (int c = 0; c < in.channels; ++c) {
-            sum += filter.at(n, c, t) * in.padded(y * conv.stride + t / 3 - 1,
-                                                  x * conv.stride + t % 3 - 1, c, conv.padding);
-          }
-        }
-        ASSERT_NEAR(out[i], sum, 4e-6 * 9 * (in.channels + 4)) << y << ", " << x << ", " << n;
-      }
-    }
-  }
-  ASSERT_EQ(i, out.size());
+  expect_near(out, filter.of(in, conv.stride, conv.padding), 4e-6 * 9 * (in.channels + 4));
 }
 
 ConvInput as_input(const Image& image, const std::vector<float>& values, Upsampling upsampling) {
@@ -118,8 +61,7 @@ void check_winograd(const Conv3x3& conv, const Image& whole, const Filter& filte
   const int used = whole.channels - skipped;
   std::vector<float> panels(winograd_floats(used, filter.columns));
   pack_winograd(
-      used, filter.columns,
-      [&](int c, int n, int tap) { return static_cast<float>(filter.at(n, skipped + c, tap)); },
+      used, filter.columns, [&](int c, int n, int tap) { return filter.at(n, skipped + c, tap); },
       panels);
   WinogradConv winograd{{}, conv, panels.data()};
   std::vector<float> out(static_cast<std::size_t>(whole.height * whole.width * filter.columns));
@@ -150,12 +92,12 @@ void check_conv(Random& random, const Image& first, Upsampling upsampling, int s
         as_input(second, second_values, Upsampling::kNone);
     whole = joined(whole, second);
   }
-  const Filter filter(random, columns, whole.channels);
+  const Filter filter(random, columns, whole.channels, 3);
   const int skipped = bilinear ? first.channels : 0;
   std::vector<float> taps_store(packed_floats(first.channels, 9 * columns));
   if (bilinear) {
     conv.upsampled = {first_values.data(), first.height, first.width, first.channels,
-                      filter.taps_of(first.channels, taps_store)};
+                      taps_of(filter, first.channels, taps_store)};
   }
   std::vector<float> direct_store(packed_floats((whole.channels - skipped) * 9, columns));
   std::vector<float> out(
@@ -165,7 +107,7 @@ void check_conv(Random& random, const Image& first, Upsampling upsampling, int s
   conv.channels = whole.channels - skipped;
   conv.stride = stride;
   conv.padding = padding;
-  conv.weights = filter.without(skipped, direct_store);
+  conv.weights = without(filter, skipped, direct_store);
   conv.output = out.data();
   const ConvChain chain = {{conv}, 1};
   std::vector<float> scratch(conv3x3_scratch(chain));
@@ -218,7 +160,7 @@ TEST(Conv3x3Kernel, ChainsWithoutStoringWhatIsBetween) {
     Random random(3);
     const Image image = make_image(random, 4, 7, 8);
     const auto values = to_floats(image.values);
-    const Filter filters[3] = {{random, 8, 8}, {random, 16, 8}, {random, 20, 16}};
+    const Filter filters[3] = {{random, 8, 8, 3}, {random, 16, 8, 3}, {random, 20, 16, 3}};
     std::vector<float> taps_store(packed_floats(8, 9 * 8));
     ConvChain chain;
     chain.count = 3;
@@ -233,7 +175,7 @@ TEST(Conv3x3Kernel, ChainsWithoutStoringWhatIsBetween) {
       conv.output = outputs[i].data();
     }
     Conv3x3& first = chain.convs[0];
-    first.upsampled = {values.data(), 4, 7, 8, filters[0].taps_of(8, taps_store)};
+    first.upsampled = {values.data(), 4, 7, 8, taps_of(filters[0], 8, taps_store)};
     first.input_count = 0;
     first.channels = 0;
     std::vector<float> scratch(conv3x3_scratch(chain));
@@ -250,9 +192,7 @@ TEST(Conv3x3Kernel, ChainsWithoutStoringWhatIsBetween) {
     }
     // The last one by Winograd's algorithm, fed by the first two.
     std::vector<float> panels(winograd_floats(16, 20));
-    const auto weight = [&](int c, int n, int tap) {
-      return static_cast<float>(filters[2].at(n, c, tap));
-    };
+    const auto weight = [&](int c, int n, int tap) { return filters[2].at(n, c, tap); };
     pack_winograd(16, 20, weight, panels);
     WinogradConv winograd{chain, chain.convs[2], panels.data()};
     winograd.before.count = 2;
@@ -262,6 +202,47 @@ TEST(Conv3x3Kernel, ChainsWithoutStoringWhatIsBetween) {
     winograd_rows(winograd, 4, 8, more.data());
     winograd_rows(winograd, 0, 4, more.data());
     for (std::size_t i = 0; i < direct.size(); ++i) ASSERT_NEAR(outputs[2][i], direct[i], 2e-3);
+  });
+}
+
+// A slice makes rows around its own on the way; another slice may store them at this moment.
+TEST(Conv3x3Kernel, ASliceOfAChainStoresItsOwnRowsAlone) {
+  for_each_isa([] {
+    Random random(7);
+    for (const int stride : {1, 2}) {
+      const int rows = 6;
+      const Image image = make_image(random, stride * rows, 2 * 5, 3);
+      const auto values = to_floats(image.values);
+      const Filter first(random, 8, 3, 3);
+      const Filter second(random, 7, 8, 3);
+      const Image between = first.of(image);
+      std::vector<float> kept(between.values.size(), kUntouched);
+      const int columns = image.width / stride;
+      std::vector<float> out(static_cast<std::size_t>(rows * columns * 7), kUntouched);
+      ConvChain chain;
+      chain.count = 2;
+      for (Conv3x3& conv : chain.convs) {
+        conv.height = image.height;
+        conv.width = image.width;
+      }
+      chain.convs[0].inputs[0] = as_input(image, values, Upsampling::kNone);
+      chain.convs[0].channels = 3;
+      chain.convs[0].weights = first.packed;
+      chain.convs[0].output = kept.data();
+      chain.convs[1].channels = 8;
+      chain.convs[1].stride = stride;
+      chain.convs[1].weights = second.packed;
+      chain.convs[1].output = out.data();
+      std::vector<float> scratch(conv3x3_scratch(chain));
+      const auto step = static_cast<std::size_t>(stride);
+      conv3x3_rows(chain, 2, 4, scratch.data());
+      expect_only_rows(kept, static_cast<std::size_t>(image.width) * 8, 2 * step, 4 * step);
+      expect_only_rows(out, static_cast<std::size_t>(columns) * 7, 2, 4);
+      conv3x3_rows(chain, 4, 6, scratch.data());
+      conv3x3_rows(chain, 0, 2, scratch.data());
+      expect_convolved(image, first, chain.convs[0], kept);
+      expect_near(out, second.of(between, stride), 1e-3);
+    }
   });
 }
 

@@ -10,13 +10,6 @@
 namespace lcdm::kernels {
 namespace {
 
-using test::expect_near;
-using test::for_each_isa;
-using test::Image;
-using test::make_image;
-using test::Random;
-using test::to_floats;
-
 // A head step on random weights, and the same figures made plainly: embed, add, convolve, scale.
 struct HeadCase {
   Image condition, state, hidden, out;
@@ -25,30 +18,11 @@ struct HeadCase {
   HeadStep step;
 };
 
-double tap_sum(const Image& image, const std::vector<float>& taps, int y, int x, int c, int n) {
-  // taps [9, image.channels, filters]: filter n, channel c
-  double sum = 0;
-  const auto filters = static_cast<int>(taps.size()) / 9 / image.channels;
-  for (int t = 0; t < 9; ++t) {
-    sum += static_cast<double>(
-               taps[static_cast<std::size_t>((t * image.channels + c) * filters + n)]) *
-           image.padded(y + t / 3 - 1, x + t % 3 - 1, c, Padding::kZero);
-  }
-  return sum;
-}
-
-Image convolved(const Image& in, const std::vector<float>& taps, int filters) {
-  Image out{in.height, in.width, filters, {}};
-  for (int y = 0; y < in.height; ++y) {
-    for (int x = 0; x < in.width; ++x) {
-      for (int n = 0; n < filters; ++n) {
-        double sum = 0;
-        for (int c = 0; c < in.channels; ++c) sum += tap_sum(in, taps, y, x, c, n);
-        out.values.push_back(sum);
-      }
-    }
-  }
-  return out;
+// taps [9, in.channels, filters]
+Image convolved_by(const Image& in, const std::vector<float>& taps, int filters) {
+  return convolved(in, filters, 3, 1, Padding::kZero, [&](int n, int c, int t) {
+    return static_cast<double>(taps[static_cast<std::size_t>((t * in.channels + c) * filters + n)]);
+  });
 }
 
 // conv1 of embed's taps and of the time, as one 5x5 and one constant.
@@ -81,17 +55,17 @@ void fill_head_case(HeadCase& h, Random& random, int height, int width, int chan
   h.conv1 = random.reals(9 * n * n);
   h.taps = random.reals(9 * n);
   compose(h, channels);
-  Image fused = convolved(h.state, h.embed, channels);
+  Image fused = convolved_by(h.state, h.embed, channels);
   for (std::size_t i = 0; i < fused.values.size(); ++i) {
     fused.values[i] += h.condition.values[i] + static_cast<double>(h.time[i % n]);
   }
-  h.hidden = convolved(fused, h.conv1, channels);
+  h.hidden = convolved_by(fused, h.conv1, channels);
   for (std::size_t i = 0; i < h.hidden.values.size(); ++i) {
     const auto scaled = static_cast<double>(h.scale[i % n]) * h.hidden.values[i];
     h.hidden.values[i] = std::max(0.0, scaled + static_cast<double>(h.bias[i % n]));
   }
-  h.out = convolved(h.hidden, h.taps, 1);
-  h.shared = to_floats(convolved(h.condition, h.conv1, channels).values);
+  h.out = convolved_by(h.hidden, h.taps, 1);
+  h.shared = to_floats(convolved_by(h.condition, h.conv1, channels).values);
   h.state_values = to_floats(h.state.values);
   h.step = {h.shared.data(),
             zero ? nullptr : h.state_values.data(),
@@ -140,7 +114,7 @@ TEST(HeadKernel, UpdatesTheStateInTheSamePass) {
       std::vector<float> weights(update_weight_floats(channels));
       pack_update_weights(h.taps.data(), channels, weights.data());
       std::vector<float> next(kHeight * kWidth);
-      std::vector<float> seen(h.hidden.values.size());
+      std::vector<float> seen(h.hidden.values.size(), kUntouched);
       h.step.hidden = seen.data();
       HeadUpdate update{nullptr, h.step, weights.data(),        0.25F,
                         1.5F,    -0.5F,  h.state_values.data(), next.data()};
@@ -150,6 +124,7 @@ TEST(HeadKernel, UpdatesTheStateInTheSamePass) {
         want.values[i] = 1.5 * h.state.values[i] - 0.5 * (0.25 + want.values[i]);
       }
       head_update_rows(update, 3, kHeight, scratch.data());
+      expect_only_rows(seen, static_cast<std::size_t>(kWidth * channels), 3, kHeight);
       head_update_rows(update, 0, 3, scratch.data());
       expect_near(next, want, 1e-3);
       expect_near(seen, h.hidden, 2e-4);

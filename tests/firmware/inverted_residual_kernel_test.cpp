@@ -8,50 +8,7 @@
 namespace lcdm::kernels {
 namespace {
 
-using test::expect_near;
-using test::for_each_isa;
-using test::Image;
-using test::make_image;
-using test::Random;
-using test::to_floats;
-
 double silu(double x) { return x / (1 + std::exp(-x)); }
-
-// A 1x1 convolution: [columns][channels] weights, packed.
-struct Pointwise {
-  int columns;
-  int channels;
-  std::vector<float> weights;
-  std::vector<float> bias;
-  std::vector<float> packed_store;
-  PackedMatrix packed;
-
-  Pointwise(Random& random, int out_channels, int in_channels)
-      : columns(out_channels),
-        channels(in_channels),
-        weights(random.reals(static_cast<std::size_t>(out_channels * in_channels))),
-        bias(random.reals(static_cast<std::size_t>(out_channels))),
-        packed_store(packed_floats(in_channels, out_channels)),
-        packed(pack_matrix(
-            in_channels, out_channels,
-            [this](int k, int n) { return weights[static_cast<std::size_t>(n * channels + k)]; },
-            bias, packed_store)) {}
-
-  Image of(const Image& in) const {
-    Image out{in.height, in.width, columns, {}};
-    for (int p = 0; p < in.height * in.width; ++p) {
-      for (int n = 0; n < columns; ++n) {
-        double sum = static_cast<double>(bias[static_cast<std::size_t>(n)]);
-        for (int c = 0; c < channels; ++c) {
-          sum += static_cast<double>(weights[static_cast<std::size_t>(n * channels + c)]) *
-                 in.values[static_cast<std::size_t>(p * channels + c)];
-        }
-        out.values.push_back(sum);
-      }
-    }
-    return out;
-  }
-};
 
 Image depthwise(const Image& in, int stride, const std::vector<float>& taps,
                 const std::vector<float>& bias) {
@@ -78,10 +35,10 @@ void check_inverted_residual(Random& random, int channels, int hidden, int colum
   SCOPED_TRACE(testing::Message() << channels << " -> " << hidden << " -> " << columns
                                   << ", stride " << stride << ", " << width << "x" << height);
   const Image in = make_image(random, height, width, channels);
-  const Pointwise expand(random, hidden, channels);
+  const Filter expand(random, hidden, channels, 1);
   const auto taps = random.reals(static_cast<std::size_t>(9 * hidden));
   const auto taps_bias = random.reals(static_cast<std::size_t>(hidden));
-  const Pointwise project(random, columns, hidden);
+  const Filter project(random, columns, hidden, 1);
   Image expanded = expand.of(in);
   for (double& v : expanded.values) v = silu(v);
   Image filtered = depthwise(expanded, stride, taps, taps_bias);
@@ -92,8 +49,8 @@ void check_inverted_residual(Random& random, int channels, int hidden, int colum
 
   const auto values = to_floats(in.values);
   std::vector<float> out(want.values.size());
-  std::vector<float> seen_expanded(expanded.values.size());
-  std::vector<float> seen_filtered(filtered.values.size());
+  std::vector<float> seen_expanded(expanded.values.size(), kUntouched);
+  std::vector<float> seen_filtered(filtered.values.size(), kUntouched);
   InvertedResidual block;
   block.input = values.data();
   block.height = height;
@@ -112,6 +69,11 @@ void check_inverted_residual(Random& random, int channels, int hidden, int colum
   std::vector<float> scratch(inverted_residual_scratch(block));
   const int rows = height / stride;
   inverted_residual_rows(block, rows / 2, rows, scratch.data());
+  const auto first = static_cast<std::size_t>(rows / 2);
+  const auto step = static_cast<std::size_t>(stride);
+  const auto pitch = static_cast<std::size_t>(width * hidden);
+  expect_only_rows(seen_expanded, pitch, first * step, static_cast<std::size_t>(height));
+  expect_only_rows(seen_filtered, pitch / step, first, static_cast<std::size_t>(rows));
   inverted_residual_rows(block, 0, rows / 2, scratch.data());
   expect_near(seen_expanded, expanded, 1e-4);
   expect_near(seen_filtered, filtered, 1e-4);

@@ -6,13 +6,10 @@
 #include "firmware/nn/kernels/attention.h"
 #include "firmware/nn/kernels/matrix.h"
 #include "firmware/nn/kernels/norm.h"
-#include "tests/firmware/isa.h"
+#include "tests/firmware/image.h"
 
 namespace lcdm::kernels {
 namespace {
-
-using test::for_each_isa;
-using test::Random;
 
 double activated(Activation activation, double x) {
   switch (activation) {
@@ -27,8 +24,6 @@ double activated(Activation activation, double x) {
   }
   return x;
 }
-
-constexpr float kUntouched = 12345;
 
 struct Product {
   int rows;
@@ -156,6 +151,99 @@ TEST(MatrixKernel, NarrowNumbersThatAreExactGiveExactSums) {
   });
 }
 
+// Rows and columns whose numbers are small whole ones times powers of two, other powers for each
+// range of rows and each column: nothing is rounded, unless rows are taken with others' range.
+struct ExactProduct {
+  static constexpr int kRows = 20;  // two whole ranges and a half
+  static constexpr int kColumns = 20;
+  int depth;
+  std::vector<float> a, weights, expected;
+
+  ExactProduct(Random& random, int of_depth) : depth(of_depth) {
+    for (int m = 0; m < kRows; ++m) {
+      const int range = m / kRowsOfRange;
+      for (int k = 0; k < depth; ++k) {
+        // Each row has both ends of its range.
+        const int byte = k == 0 ? 0 : (k == 1 ? 255 : random.whole(0, 255));
+        a.push_back(std::ldexp(static_cast<float>(byte - 127 * range), 10 * range - 10));
+      }
+    }
+    for (int k = 0; k < depth; ++k) {
+      for (int n = 0; n < kColumns; ++n) {
+        const int byte = k == 2 ? 127 : random.whole(-127, 127);
+        weights.push_back(std::ldexp(static_cast<float>(byte), n % 7 - 3));
+      }
+    }
+    for (int m = 0; m < kRows; ++m) {
+      for (int n = 0; n < kColumns; ++n) {
+        double sum = 0;
+        for (int k = 0; k < depth; ++k) {
+          sum += static_cast<double>(a[static_cast<std::size_t>(m * depth + k)]) *
+                 static_cast<double>(weights[static_cast<std::size_t>(k * kColumns + n)]);
+        }
+        expected.push_back(static_cast<float>(sum));
+      }
+    }
+  }
+};
+
+void check_exact(const ExactProduct& p, Precision precision) {
+  SCOPED_TRACE(testing::Message() << to_string(precision) << ", depth " << p.depth);
+  constexpr int kColumns = ExactProduct::kColumns;
+  std::vector<float> packed(packed_floats(p.depth, kColumns, precision));
+  const PackedMatrix matrix = pack_matrix(
+      p.depth, kColumns,
+      [&](int k, int n) { return p.weights[static_cast<std::size_t>(k * kColumns + n)]; }, {},
+      packed, precision);
+  std::vector<float> out(p.expected.size());
+  const auto multiply = [&](int begin, int end) {
+    const float* rows = p.a.data() + static_cast<std::ptrdiff_t>(begin) * p.depth;
+    float* to = out.data() + static_cast<std::ptrdiff_t>(begin) * kColumns;
+    multiply_rows({{rows}, 1, p.depth, p.depth, end - begin}, matrix,
+                  {to, nullptr, kColumns, Activation::kNone});
+  };
+  // All at once, and in two slices as two workers would.
+  for (const int cut : {0, kRowsOfRange, 2 * kRowsOfRange}) {
+    std::fill(out.begin(), out.end(), 0.0F);
+    multiply(cut, ExactProduct::kRows);
+    multiply(0, cut);
+    EXPECT_EQ(out, p.expected) << "cut at " << cut;
+  }
+}
+
+TEST(MatrixKernel, EachRangeOfRowsIsItsOwnHoweverFarApartTheyAre) {
+  for_each_isa([] {
+    Random random(8);
+    for (const Precision precision : {Precision::kBfloat16, Precision::kInt8}) {
+      if (support_of(precision) == Support::kNone) continue;
+      // The last is the deepest that fits: one range is all that is held narrow at a time.
+      for (const int depth : {20, 64, kNarrowWords / kRowsOfRange * numbers_per_word(precision)}) {
+        check_exact({random, depth}, precision);
+      }
+    }
+  });
+}
+
+TEST(MatrixKernel, RowsTooLongToBeNarrowStayWide) {
+  static_assert(rows_fit(2048, Precision::kInt8) && !rows_fit(2052, Precision::kInt8));
+  static_assert(rows_fit(1024, Precision::kBfloat16) && !rows_fit(1026, Precision::kBfloat16));
+  static_assert(!rows_fit(6, Precision::kInt8) && rows_fit(1'000'000, Precision::kFloat32));
+  for_each_isa([] {
+    for (const Precision wanted : {Precision::kFloat32, Precision::kBfloat16, Precision::kInt8}) {
+      for (const int depth : {7, 18, 20, 1026, 2048, 2052}) {
+        const Precision given = native_precision(wanted, depth);
+        EXPECT_TRUE(given <= native_precision(wanted) && rows_fit(depth, given)) << depth;
+      }
+    }
+  });
+  std::vector<float> store(packed_floats(2052, 1, Precision::kInt8));
+  const auto pack = [&] {
+    pack_matrix(
+        2052, 1, [](int, int) { return 1.0F; }, {}, store, Precision::kInt8);
+  };
+  EXPECT_DEATH(pack(), "rows_fit");
+}
+
 TEST(MatrixKernel, ConstantRowsAndZeroWeightsHaveNoRangeAndStayRight) {
   for_each_isa([] {
     if (support_of(Precision::kInt8) == Support::kNone) return;
@@ -233,8 +321,9 @@ void check_attention(int tokens, int head_channels, Precision precision = Precis
   std::vector<float> out(values);
   a.qkv = qkv.data();
   a.output = out.data();
-  std::vector<float> scratch(attention_scratch(a));
+  std::vector<float> scratch(attention_scratch(a) + 1, kUntouched);
   attention_range(a, 0, attention_items(a), scratch.data());
+  EXPECT_EQ(scratch.back(), kUntouched) << "wrote behind its scratch";
   for (std::size_t i = 0; i < values; ++i) {
     const int channel = static_cast<int>(i) % a.channels;
     const int token = static_cast<int>(i) / a.channels;
@@ -262,6 +351,15 @@ TEST(AttentionKernel, MixesBfloat16) {
         check_attention(tokens, head_channels, Precision::kBfloat16);
       }
     }
+  });
+}
+
+TEST(AttentionKernel, NeedsRoomForKeysAndValuesOnlyWhereTheyAreMadeNarrow) {
+  for_each_isa([] {
+    Attention a = {nullptr, 1, 33, 4 * 30, 4, nullptr};
+    const std::size_t floats = attention_scratch(a);
+    a.precision = Precision::kBfloat16;
+    EXPECT_EQ(attention_scratch(a) - floats, 33U * 15 + 17U * 30);
   });
 }
 

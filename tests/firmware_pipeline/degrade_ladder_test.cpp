@@ -90,6 +90,38 @@ TEST_F(DegradeLadderTest, WithoutAWantedRateNoNetworkIsTooSlow) {
   }
 }
 
+TEST_F(DegradeLadderTest, WithoutASmallerNetworkHeatTakesTheRestsAndSlownessNothing) {
+  facts_.has_small_network = false;
+  facts_.inference_ns = kSecond / 5;
+  EXPECT_EQ(pass(600), Effort::kFull);
+  facts_.headroom_celsius = kHot;
+  EXPECT_EQ(pass(5), Effort::kRest);
+  EXPECT_STREQ(to_string(Effort::kRest), "full network with rests");
+  EXPECT_EQ(pass(600), Effort::kRest) << "there is no lower rung";
+  EXPECT_EQ(ladder_.lowered(), 1U);
+  facts_.headroom_celsius = kCool;
+  EXPECT_EQ(pass(60), Effort::kFull);
+  EXPECT_STREQ(ladder_.reason(), "");
+}
+
+TEST_F(DegradeLadderTest, FollowsASmallerNetworkThatComesOrGoes) {
+  facts_.headroom_celsius = kHot;
+  EXPECT_EQ(pass(60), Effort::kSmallNetworkRest);
+  facts_.has_small_network = false;
+  EXPECT_EQ(pass(1), Effort::kRest);
+  EXPECT_STREQ(ladder_.reason(), "the board is hot");
+  facts_.has_small_network = true;
+  EXPECT_EQ(pass(1), Effort::kSmallNetwork);
+
+  facts_.headroom_celsius = kCool;
+  EXPECT_EQ(pass(600), Effort::kFull);
+  facts_.inference_ns = kSecond / 5;
+  EXPECT_EQ(pass(5), Effort::kSmallNetwork);
+  facts_.has_small_network = false;
+  EXPECT_EQ(pass(1), Effort::kFull) << "a rest would make it slower";
+  EXPECT_STREQ(ladder_.reason(), "");
+}
+
 TEST_F(DegradeLadderTest, TriesMoreWorkEverMoreSeldomWhileItFails) {
   // A network that is always too slow at full size: each try fails.
   for (int i = 0; i < 3600 * 10; ++i) {

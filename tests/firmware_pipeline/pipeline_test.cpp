@@ -495,7 +495,8 @@ TEST_F(PipelineTest, ACameraThatDoesNotStartIsClosed) {
 TEST_F(PipelineTest, AnEngineThatCannotBeMadeIsAnErrorOfStart) {
   Pipeline pipeline(
       camera_,
-      [](const FrameFormat&, const CameraModel&) -> Result<std::unique_ptr<Engine>> {
+      [](const FrameFormat&, const CameraModel&,
+         const Pipeline::Alive&) -> Result<std::unique_ptr<Engine>> {
         return Status::error(StatusCode::kInvalidInput, "fake: no such size");
       },
       nullptr, {&sink_}, fast());
@@ -586,6 +587,7 @@ TEST_F(PipelineTest, LessEffortIsTheSmallerNetworkFromTheNextFrameOn) {
   ASSERT_TRUE(eventually([&] { return sink_.last().camera.width == 96; }));
   EXPECT_EQ(pipeline.engine().stats.width, 96);
   EXPECT_EQ(pipeline.engine().depth_camera.width, 96);
+  EXPECT_TRUE(pipeline.has_small_engine());
   pipeline.set_effort(Effort::kFull);
   ASSERT_TRUE(eventually([&] { return sink_.last().camera.width == 64; }));
   EXPECT_EQ(pipeline.health().snapshot(os::monotonic_ns()).skipped, 0U);
@@ -602,9 +604,45 @@ TEST_F(PipelineTest, AtLeastEffortThereAreRestsBetweenFrames) {
 
 TEST_F(PipelineTest, WithoutASmallerNetworkTheOnlyOneGoesOn) {
   start();
+  EXPECT_FALSE(pipeline_->has_small_engine());
   pipeline_->set_effort(Effort::kSmallNetwork);
   ASSERT_TRUE(delivers(5));
   EXPECT_EQ(sink_.last().camera.width, 64);
+  EXPECT_EQ(health().skipped, 0U);
+  pipeline_->set_effort(Effort::kRest);
+  ASSERT_TRUE(eventually([&] { return health().skipped >= 5; }));
+  EXPECT_EQ(sink_.last().camera.width, 64);
+}
+
+TEST_F(PipelineTest, ASmallerNetworkThatIsNotMadeIsKnown) {
+  const auto none = [](const FrameFormat&, const CameraModel&,
+                       const Pipeline::Alive&) -> Result<std::unique_ptr<Engine>> {
+    return std::unique_ptr<Engine>();
+  };
+  Pipeline pipeline(camera_, test::tiny_engine(), nullptr, {&sink_}, fast(), none);
+  EXPECT_TRUE(pipeline.has_small_engine()) << "nobody knows better yet";
+  ASSERT_TRUE(pipeline.start().is_ok());
+  EXPECT_FALSE(pipeline.has_small_engine());
+}
+
+// Each step towards an engine beats the heart of the infer thread, which makes it.
+TEST_F(PipelineTest, AnEngineInTheMakingIsASignOfLife) {
+  Pipeline* running = nullptr;
+  std::atomic<int> beats{0};
+  const auto slow = [&](const FrameFormat& format, const CameraModel& camera,
+                        const Pipeline::Alive& alive) {
+    const std::int64_t before_ns = os::monotonic_ns();
+    const std::uint64_t steps = running->health().snapshot(before_ns).prepared;
+    alive();
+    const HealthSnapshot after = running->health().snapshot(before_ns);
+    if (after.prepared == steps + 1 && after.infer_heartbeat_age_ns == 0) ++beats;
+    return test::tiny_engine()(format, camera, alive);
+  };
+  Pipeline pipeline(camera_, slow, nullptr, {&sink_}, fast(), slow);
+  running = &pipeline;
+  ASSERT_TRUE(pipeline.start().is_ok());
+  EXPECT_EQ(beats, 2);
+  EXPECT_EQ(pipeline.health().snapshot(0).prepared, 2U + 3U) << "and before, between and behind";
 }
 
 }  // namespace

@@ -174,6 +174,20 @@ TEST_F(SupervisorTest, AHangingOutputCostsThatOutputOnly) {
   EXPECT_EQ(now_.state, DeviceState::kStreaming);
 }
 
+// A camera came back different: its engine takes a slow board long, but it comes nearer.
+TEST_F(SupervisorTest, AnEngineInTheMakingIsProgressUntilItHangs) {
+  stream();
+  const auto frame = [this] { ++seen_.pipeline.captured; };
+  for (int step = 0; step < 6; ++step) {
+    ++seen_.pipeline.prepared;
+    pass(8 * kSecond, frame);
+    EXPECT_TRUE(now_.alive) << "step " << step;
+  }
+  pass(3 * kSecond, frame);
+  EXPECT_FALSE(now_.alive);
+  EXPECT_THAT(now_.reason, HasSubstr("no depth for"));
+}
+
 TEST_F(SupervisorTest, WhatIsLostIsSaid) {
   stream();
   seen_.output_fault = "recording ended: the disk is full";

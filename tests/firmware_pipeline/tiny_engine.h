@@ -7,8 +7,8 @@
 namespace lcdm::test {
 
 inline Pipeline::EngineFactory tiny_engine(int width = 64) {
-  return [width](const FrameFormat& format,
-                 const CameraModel& camera) -> Result<std::unique_ptr<Engine>> {
+  return [width](const FrameFormat& format, const CameraModel& camera,
+                 const Pipeline::Alive&) -> Result<std::unique_ptr<Engine>> {
     const auto config = make_config(EncoderKind::kXxs, PresetKind::kLcdm);
     const auto model = ModelFile::parse(make_random_model(config, 1));
     if (!model) return model.status();

@@ -101,5 +101,27 @@ TEST(NetworkEstimator, GivesMetres) {
   EXPECT_NEAR(cv::norm(estimator(frame), 2 * canonical, cv::NORM_INF), 0, 1e-4);
 }
 
+// The file with LibTorch and in the engine, at the deployed size and at another: the same depth.
+TEST(EngineEstimator, IsFedAsTheFileIs) {
+  const std::string path = "model/weights/lcdm-xxs.safetensors";
+  PackFrame frame;
+  frame.rgb = cv::Mat(288, 384, CV_8UC3);
+  cv::randu(frame.rgb, 0, 255);
+  frame.camera = CameraModel::from_field_of_view(384, 288, 60);
+  for (const double share : {1.0, 0.42}) {
+    const Result<Estimator> file = file_estimator(path, share);
+    const Result<Estimator> engine = engine_estimator(path, Precision::kFloat32, 1, share);
+    ASSERT_TRUE(file && engine);
+    const cv::Mat depth = (*engine)(frame);
+    ASSERT_EQ(depth.size(), deployed_size(frame.rgb.size(), share));
+    ASSERT_EQ(depth.size(), (*file)(frame).size());
+    EXPECT_LT(log_distance(depth, (*file)(frame)), 1e-4);
+  }
+}
+
+TEST(EngineEstimator, SaysWhatItCannotRead) {
+  EXPECT_FALSE(engine_estimator("nowhere.safetensors", Precision::kFloat32, 1));
+}
+
 }  // namespace
 }  // namespace lcdm::model

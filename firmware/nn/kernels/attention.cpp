@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "firmware/nn/kernels/matrix.h"
+
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/attention.cpp"
@@ -56,16 +58,18 @@ struct Buffers {
   float* queries;  // [words of head_channels, kQueries]
   float* mixed;    // [head_channels, kQueries]
   float* scores;   // [tokens, kQueries]; then words of two tokens each, from the front
-  float* keys;     // [tokens, words of head_channels]; floats stay where they are
-  float* values;   // [words of tokens, head_channels]
+  float* keys;     // [tokens, words of head_channels]; floats stay where they are, without room
+  float* values;   // [words of tokens, head_channels]; alike
 
+  // As attention_scratch counts.
   HWY_INLINE Buffers(const QueryTile& t, float* scratch) {
     const auto channels = static_cast<std::size_t>(t.head_channels);
+    const auto tokens = static_cast<std::size_t>(t.tokens);
     mixed = scratch;
     queries = mixed + channels * kQueries;
     scores = queries + channels * kQueries;
-    keys = scores + static_cast<std::size_t>(t.tokens) * kQueries;
-    values = keys + static_cast<std::size_t>(t.tokens) * channels;
+    keys = scores + tokens * kQueries;
+    values = keys + tokens * static_cast<std::size_t>(words_of<Operand>(t.head_channels));
   }
 };
 
@@ -186,7 +190,7 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   const int channel_words = words_of<Operand>(t.head_channels);
   Walk keys = {t.keys, t.token_stride, 1, channel_words};
   Walk values = {t.values, 1, t.token_stride, words_of<Operand>(t.tokens)};
-  if constexpr (kPerWord < Operand >> 1) {
+  if constexpr (Operand::kPrecision != Precision::kFloat32) {
     if (t.first_of_head) pack_keys_and_values(t, b);
     keys = {b.keys, channel_words, 1, channel_words};
     values = {b.values, 1, t.head_channels, words_of<Operand>(t.tokens)};
@@ -272,8 +276,11 @@ std::size_t attention_scratch(const Attention& a) {
   const auto tokens = static_cast<std::size_t>(a.tokens);
   const auto head_channels = static_cast<std::size_t>(a.channels / a.heads);
   const std::size_t rows = tokens + 2 * head_channels;  // of a tile's queries
-  return rows * static_cast<std::size_t>(HWY_DYNAMIC_DISPATCH(query_tile)()) +
-         2 * tokens * head_channels;
+  const std::size_t tile = rows * static_cast<std::size_t>(HWY_DYNAMIC_DISPATCH(query_tile)());
+  if (a.precision == Precision::kFloat32) return tile;
+  const auto per_word = static_cast<std::size_t>(numbers_per_word(a.precision));
+  const auto words = [per_word](std::size_t count) { return (count + per_word - 1) / per_word; };
+  return tile + tokens * words(head_channels) + words(tokens) * head_channels;  // keys and values
 }
 
 void attention_range(const Attention& a, int begin, int end, float* scratch) {

@@ -12,6 +12,7 @@
 
 #include "firmware/nn/kernels/conv.h"
 #include "firmware/nn/kernels/math-inl.h"
+#include "firmware/nn/kernels/own_rows.h"
 #include "firmware/nn/kernels/rows-inl.h"
 #include "firmware/nn/kernels/upsampled-inl.h"
 
@@ -107,15 +108,16 @@ class ConvRows {
 // The rows of a chain's last convolution, in order.
 class ChainRows {
  public:
-  // `first` is the first row that will be asked for, `own` as above. Scratch: conv3x3_scratch
-  // floats.
-  HWY_INLINE void begin(const ConvChain& chain, int first, const OwnRows& own, float* scratch) {
+  // `first` is the first row that will be asked for, `own` as above, both of the last convolution.
+  // Scratch: conv3x3_scratch floats.
+  HWY_INLINE void begin(const ConvChain& chain, int first, OwnRows own, float* scratch) {
     last_ = static_cast<std::size_t>(chain.count) - 1;
     for (std::size_t i = last_ + 1; i-- > 0;) {
       const Conv3x3& conv = chain.convs[i];
       rows_[i].begin(conv, i > 0 ? &rows_[i - 1] : nullptr, first, own, scratch);
       scratch += conv.scratch_floats();
       first = std::max(0, first * conv.stride - 1);
+      own = own.of_input(conv.stride);
     }
   }
 

@@ -32,7 +32,7 @@ struct UpsampledShare {
 
 // A convolution with all it reads and writes; borrowed pointers.
 struct Conv3x3 {
-  UpsampledShare upsampled;         // added to what the inputs give; zero padding only
+  UpsampledShare upsampled;         // added to what the inputs give; zero padding, stride 1 only
   std::array<ConvInput, 2> inputs;  // concatenated along the channels
   int input_count = 1;              // may be 0 beside an upsampled share
   int height = 0;                   // of the input after upsampling

@@ -182,20 +182,15 @@ HWY_INLINE RowOutput rows_from(RowOutput o, std::ptrdiff_t row) {
   return o;
 }
 
-// The same of rows of floats in one run, made narrow some at a time. Slices of a layer begin at
-// multiples of kRowsOfRange, or where an image row does: so who shares a range is always the same.
-constexpr int kRowsOfRange = 8;
-
+// The same of rows of floats in one run, made narrow some at a time: whole ranges of them.
 template <class Operand>
 HWY_NOINLINE void multiply_narrowed(const RowInput& a, const PackedMatrix& b, const RowOutput& o) {
-  constexpr int kWords = 4096;  // half of a first cache of 32 KB
   constexpr int kMostRows = 128;
-  HWY_ALIGN float words[kWords];
+  HWY_ALIGN float words[kNarrowWords];
   RowRange ranges[kMostRows];
   const int row_words = b.depth / numbers_per_word(b.precision);
-  int block = kWords / row_words;
-  block = block < 8 ? block : block / 8 * 8;
-  block = block < kMostRows ? block : kMostRows;
+  const int fitting = kNarrowWords / row_words / kRowsOfRange * kRowsOfRange;  // by pack_matrix > 0
+  const int block = fitting < kMostRows ? fitting : kMostRows;
   for (int row = 0; row < a.rows; row += block) {
     const int rows = a.rows - row < block ? a.rows - row : block;
     for (int m = 0; m < rows; m += kRowsOfRange) {

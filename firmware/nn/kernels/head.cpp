@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <cstring>
 
-#include "firmware/nn/kernels/matrix.h"
-
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/head.cpp"
@@ -12,6 +10,7 @@
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 #include "firmware/nn/kernels/math-inl.h"
+#include "firmware/nn/kernels/own_rows.h"
 // clang-format on
 
 HWY_BEFORE_NAMESPACE();

@@ -10,6 +10,7 @@
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 #include "firmware/nn/kernels/math-inl.h"
+#include "firmware/nn/kernels/own_rows.h"
 // clang-format on
 
 HWY_BEFORE_NAMESPACE();
@@ -30,7 +31,7 @@ class Strip {
         filtered_(scratch + 3 * row_floats()) {}
 
   HWY_INLINE void compute_rows(int begin, int end) {
-    own_ = {begin * b_.stride, end * b_.stride};
+    own_ = OwnRows{begin, end}.of_input(b_.stride);
     int loaded = own_.begin - 1;  // the next row to expand
     for (int y = begin; y < end; ++y) {
       const int top = y * b_.stride - 1;

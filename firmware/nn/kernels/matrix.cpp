@@ -93,9 +93,14 @@ Support support_of(Precision precision) {
   return processor_has(precision) ? Support::kNative : Support::kNone;
 }
 
-Precision native_precision(Precision wanted, int numbers) {
+Precision native_precision(Precision wanted) {
+  // Rows of a word each, which fit wherever rows may.
+  return native_precision(wanted, numbers_per_word(Precision::kInt8));
+}
+
+Precision native_precision(Precision wanted, int depth) {
   for (const Precision precision : {Precision::kInt8, Precision::kBfloat16}) {
-    const bool fits = wanted >= precision && numbers % numbers_per_word(precision) == 0;
+    const bool fits = wanted >= precision && rows_fit(depth, precision);
     if (fits && support_of(precision) == Support::kNative) return precision;
   }
   return Precision::kFloat32;
@@ -162,7 +167,7 @@ PackedMatrix pack_matrix(int depth, int columns, const Weight& weight, std::span
                          std::span<float> out, Precision precision) {
   LCDM_CHECK(out.size() == packed_floats(depth, columns, precision));
   const int per_word = numbers_per_word(precision);
-  LCDM_CHECK(depth % per_word == 0);
+  LCDM_CHECK(rows_fit(depth, precision));
   const auto width = static_cast<std::size_t>(padded(columns));
   PackedMatrix matrix = {out.data(), nullptr, depth, columns, precision};
   std::span<float> rest;

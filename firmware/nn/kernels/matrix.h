@@ -27,6 +27,20 @@ constexpr int numbers_per_word(Precision precision) {
   return 1;
 }
 
+// Rows that are made narrow together: bytes of one range. Who shares a range must not depend on the
+// number of workers: a slice of a product begins at a multiple of it, or at an image row or a strip
+// that is multiplied by itself.
+inline constexpr int kRowsOfRange = 8;
+// Words of rows that are held narrow at a time: half of a first cache of 32 KB. Rows of one range
+// must fit, so a narrow matrix has at most kNarrowWords / kRowsOfRange words of depth.
+inline constexpr int kNarrowWords = 4096;
+// Whether rows of so many numbers can be made words of that precision.
+constexpr bool rows_fit(int depth, Precision precision) {
+  if (precision == Precision::kFloat32) return true;
+  const int per_word = numbers_per_word(precision);
+  return depth % per_word == 0 && depth / per_word <= kNarrowWords / kRowsOfRange;
+}
+
 // Borrowed: the engine owns the packed block.
 struct PackedMatrix {
   const float* panels = nullptr;  // words of `precision`
@@ -44,13 +58,14 @@ int vector_lanes();
 // instructions has no other path for them.
 enum class Support : std::uint8_t { kNone, kSlow, kNative };
 Support support_of(Precision precision);
-// The one asked for where it is native and cuts rows of so many numbers evenly, else the next
-// wider.
-Precision native_precision(Precision wanted, int numbers);
+// The one asked for where it is native, else the next wider.
+Precision native_precision(Precision wanted);
+// The same for rows of `depth` numbers: they must fit it too.
+Precision native_precision(Precision wanted, int depth);
 // Floats that pack_matrix writes: panels, bias, and scale and sums where there are some.
 std::size_t packed_floats(int depth, int columns, Precision precision = Precision::kFloat32);
-// Packs weight(k, n) and bias[n] (empty: zeros) into `out` and returns the view of it. `depth` is a
-// multiple of numbers_per_word.
+// Packs weight(k, n) and bias[n] (empty: zeros) into `out` and returns the view of it. Rows of
+// `depth` numbers fit the precision.
 PackedMatrix pack_matrix(int depth, int columns, const std::function<float(int, int)>& weight,
                          std::span<const float> bias, std::span<float> out,
                          Precision precision = Precision::kFloat32);
@@ -65,15 +80,6 @@ struct RowInput {
   int rows = 0;
 };
 
-// The rows that a call was asked for. It may make those around them as well; they are other calls'
-// to store, perhaps at this moment.
-struct OwnRows {
-  int begin = 0;
-  int end = 0;
-
-  bool has(int row) const { return row >= begin && row < end; }
-};
-
 // Where the products go: row m at data + m * stride, the residual (or null) alike.
 struct RowOutput {
   float* data = nullptr;
@@ -83,7 +89,7 @@ struct RowOutput {
 };
 
 // out = activation(a * b + bias + residual), over all rows of `a`. Where the matrix is narrow, rows
-// of one run are made so on the way, eight at a time: results depend on which eight those are.
+// of one run are made so on the way, kRowsOfRange at a time: results depend on which those are.
 void multiply_rows(const RowInput& a, const PackedMatrix& b, const RowOutput& out);
 
 }  // namespace lcdm::kernels

@@ -35,7 +35,9 @@ struct RowRange {
   float scale = 0;
 };
 
-// `low` becomes the lower half of each word, `high` the upper; rounded to nearest.
+// `low` becomes the lower half of each word, `high` the upper; rounded to nearest, ties away from
+// zero. words.h and the processor's instruction round ties to even; that instruction puts numbers
+// side by side, not one into each half, and to even by hand costs more operations than ties matter.
 template <class D, class V = hn::Vec<D>>
 HWY_INLINE V pair_words(D d, V low, V high) {
   const hn::RebindToUnsigned<D> du;
@@ -125,6 +127,11 @@ struct Int8Operand {
     return sum;
 #elif HWY_TARGET == HWY_NEON
     (void)d;
+    // The compiler's target here is Armv8.0, so its assembler must be told of sdot. A whole .arch,
+    // because binutils 2.40 refuses `.arch_extension dotprod` over an armv8-a base. It stays in
+    // force for the rest of the unit, which is harmless: the assembler only accepts more, and what
+    // the compiler itself chooses stays as it was (crypto is named because Highway's NEON may use
+    // it). support_of() keeps this from running where the processor lacks it.
     asm(".arch armv8.2-a+crypto+dotprod\n\tsdot %0.4s, %1.16b, %2.16b"
         : "+w"(sum.raw)
         : "w"(x.raw), "w"(w.raw));

@@ -10,6 +10,7 @@
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 #include "firmware/nn/kernels/conv-inl.h"
+#include "firmware/nn/kernels/own_rows.h"
 // clang-format on
 
 HWY_BEFORE_NAMESPACE();
