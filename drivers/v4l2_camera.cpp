@@ -27,7 +27,7 @@ Status V4l2Camera::open_and_configure(const CaptureRequest& request) {
   const Result<std::string> node = find_v4l2_node(selector_);
   if (!node) return node.status();
   LCDM_RETURN_IF_ERROR(device_.open(*node));
-  const std::vector<V4l2Mode> modes = list_modes(device_);
+  const std::vector<V4l2Mode> modes = list_modes(device_, request);
   const std::optional<V4l2Choice> choice = choose_mode(modes, request);
   if (!choice) return no_known_format(device_, modes);
   const Result<FrameFormat> format = queue_.set_format(*choice);

@@ -71,7 +71,7 @@ V4l2Node examine(const std::string& path) {
   if (!opened) {
     node.reason = opened.text();
   } else {
-    const std::vector<V4l2Mode> modes = list_modes(device);
+    const std::vector<V4l2Mode> modes = list_modes(device, {});
     node.usable = choose_mode(modes, {}).has_value();
     if (!node.usable) node.reason = no_known_format(device, modes).text();
   }

@@ -3,8 +3,11 @@
 #include "drivers/v4l2_camera.h"
 
 #include <chrono>
+#include <cstdint>
 #include <gtest/gtest.h>
+#include <limits>
 #include <string>
+#include <sys/time.h>
 
 #include "firmware/base/alloc_watch.h"
 #include "firmware/base/os.h"
@@ -172,6 +175,27 @@ TEST_F(V4l2CameraTest, RefusesPlanesInSeparateMemory) {
   const Status status = camera.configure({});
   EXPECT_EQ(status.code(), StatusCode::kUnsupported);
   EXPECT_NE(std::string(status.text()).find("2 planes"), std::string::npos) << status.text();
+}
+
+// Only the full size is slow: judged by that, the small one would be too.
+TEST_F(V4l2CameraTest, TheRateOfARangeIsThatOfTheSizeThatIsTaken) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.range = {{64, 64, 0}, {1920, 1088, 0}, 64, 640 * 480 * 30};
+  const FakeV4l2 device(behaviour);
+  V4l2Device opened;
+  ASSERT_TRUE(opened.open(FakeV4l2::kPath));
+  CaptureRequest request;
+  request.width = 650;  // off the driver's grid, where it lists no rates
+  request.height = 470;
+  const std::vector<V4l2Mode> modes = list_modes(opened, request);
+  ASSERT_EQ(modes.size(), 1U);
+  EXPECT_EQ(modes[0].max_width, 1920);
+  ASSERT_EQ(modes[0].rates.size(), 1U);
+  EXPECT_NEAR(modes[0].rates[0], 640 * 480 * 30 / (640.0 * 448), 0.01);
+  const auto choice = choose_mode(modes, request);
+  ASSERT_TRUE(choice);
+  EXPECT_EQ(choice->width, 640);
+  EXPECT_EQ(choice->height, 448);
 }
 
 TEST_F(V4l2CameraTest, SaysWhatItDoesAndAtWhichRate) {
