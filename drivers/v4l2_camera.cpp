@@ -78,12 +78,12 @@ Result<CapturedFrame> V4l2Camera::dequeue(std::chrono::milliseconds timeout) {
   }
   CapturedFrame frame;
   frame.index = filled.index;
+  frame.stamp = queue_.stamp();
   frame.view.format = format_;
   frame.view.data = filled.data;
   frame.view.bytes = filled.bytes;
   frame.view.meta.sequence = sequence;
-  frame.view.meta.sensor_ns =
-      queue_.stamp() == StampSource::kArrival ? os::monotonic_ns() : filled.stamp_ns;
+  frame.view.meta.sensor_ns = filled.stamp_ns;
   frame.view.meta.unix_ns = frame.view.meta.sensor_ns + os::unix_offset_ns();
   return frame;
 }

@@ -229,6 +229,54 @@ TEST_F(V4l2CameraTest, TellsWhatItsStampsMean) {
   }
 }
 
+timeval seconds_from_now(std::int64_t seconds) {
+  return {static_cast<time_t>(os::monotonic_ns() / 1'000'000'000 + seconds), 0};
+}
+
+TEST_F(V4l2CameraTest, AStampThatCannotBeIsReplacedByTheTimeOfArrival) {
+  constexpr auto kMost = std::numeric_limits<std::int64_t>::max();
+  const timeval absurd[] = {{0, 0},
+                            seconds_from_now(60),
+                            seconds_from_now(-60),  // on this clock the machine may be younger
+                            {-1, 0},
+                            {kMost, 999'999},
+                            {kMost / 1'000'000'000 + 1, 0},  // just beyond what nanoseconds hold
+                            {seconds_from_now(0).tv_sec, -1},
+                            {seconds_from_now(-1).tv_sec, kMost / 2'000}};
+  for (const timeval& stamp : absurd) {
+    FakeV4l2::Behaviour behaviour;
+    behaviour.stamp = stamp;
+    const FakeV4l2 device(behaviour);
+    V4l2Camera camera(FakeV4l2::kPath);
+    open_camera(camera);
+    EXPECT_EQ(camera.info().stamp, StampSource::kEndOfFrame) << "nothing is known against it yet";
+    const std::int64_t before = os::monotonic_ns();
+    const auto frame = camera.dequeue(milliseconds(500));
+    ASSERT_TRUE(frame) << frame.status().text();
+    EXPECT_GE(frame->view.meta.sensor_ns, before) << stamp.tv_sec << " s " << stamp.tv_usec;
+    EXPECT_LE(frame->view.meta.sensor_ns, os::monotonic_ns());
+    EXPECT_EQ(frame->stamp, StampSource::kArrival);
+    EXPECT_EQ(camera.info().stamp, StampSource::kArrival);
+  }
+}
+
+TEST_F(V4l2CameraTest, ADriverWhoseStampWasWrongOnceIsNotAskedAgainUntilItIsReopened) {
+  FakeV4l2 device({});
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  const auto good = camera.dequeue(milliseconds(500));
+  ASSERT_TRUE(good);
+  EXPECT_EQ(good->stamp, StampSource::kEndOfFrame);
+  FakeV4l2::Behaviour behaviour;
+  behaviour.stamp = timeval{0, 0};
+  device.set_behaviour(behaviour);
+  EXPECT_EQ(camera.dequeue(milliseconds(500))->stamp, StampSource::kArrival);
+  device.set_behaviour({});
+  EXPECT_EQ(camera.dequeue(milliseconds(500))->stamp, StampSource::kArrival);
+  open_camera(camera);
+  EXPECT_EQ(camera.dequeue(milliseconds(500))->stamp, StampSource::kEndOfFrame);
+}
+
 TEST_F(V4l2CameraTest, LeftAloneEverythingIsAutomaticAndTheRateSteady) {
   FakeV4l2::Behaviour behaviour;
   behaviour.controls = {V4L2_CID_EXPOSURE_AUTO_PRIORITY, V4L2_CID_EXPOSURE_AUTO, V4L2_CID_AUTOGAIN,
