@@ -78,6 +78,18 @@ camera_unplugged() {
   $said
 }
 
+# Where it stamps the end of frames, vivid names a moment that is still to come: no stamp at all. Of
+# their start it names one that was.
+stamps_are_judged() {
+  stamp_is arrival || return
+  on_guest 'systemctl stop lcdm && v4l2-ctl -d /dev/video0 -c timestamp_source=1 &&
+    systemctl start lcdm' >&2 || return
+  within 60 depth_flows >&2 || return
+  status .source.stamp
+  stamp_is 'start of exposure'
+}
+stamp_is() { [[ $(status .source.stamp) == "$1" ]]; }
+
 # reload_camera OPTION...: the same driver, loaded again with these options.
 reload_camera() {
   unplug
