@@ -2,9 +2,9 @@
 # Installs what is missing, builds everything and runs the tests.
 #
 #   ./test.sh          every test, the package, the booted guest, the sanitizer subset, the format
-#   ./test.sh --all    the same, then the long ones: everything of the guest and its soak, everything
-#                      under the sanitizers, clang-tidy, g++-11, the kernels for Arm under QEMU (its
-#                      libraries are 1 GB)
+#   ./test.sh --all    the same, then the long ones: everything under the sanitizers, clang-tidy,
+#                      g++-11, the kernels for Arm under QEMU (its libraries are 1 GB), everything of
+#                      the guest and its soak
 #
 # Prints how long each stage took. Stops at the first stage that fails.
 set -euo pipefail
@@ -107,8 +107,6 @@ stage 'booted guest' tests/appliance/run.sh --package "$package"
 stage 'sanitizer subset, build' build_subset asan
 stage 'sanitizer subset, tests' run_subset asan
 if $all; then
-  stage 'booted guest, everything' tests/appliance/run.sh --all --package "$package"
-  stage 'booted guest, soak' tests/appliance/soak.sh 10 --package "$package"
   stage 'address sanitizer build' build asan
   stage 'address sanitizer tests' run_tests asan -LE browser
   stage 'thread sanitizer build' build tsan
@@ -118,4 +116,6 @@ if $all; then
   stage 'arm64 libraries' tests/arm64/sysroot.sh
   stage 'arm64 build' build_arm64
   stage 'arm64 tests under QEMU' run_arm64
+  stage 'booted guest, everything' tests/appliance/run.sh --all --package "$package"
+  stage 'booted guest, soak' tests/appliance/soak.sh 10 --package "$package"
 fi

@@ -1,5 +1,5 @@
-// What can be configured. systemd/lcdm.toml is the manual: every key, its default, its meaning; a
-// test holds that file and this struct to each other.
+// What can be configured. systemd/lcdm.toml is the manual: every key, its default (but for the
+// source), its meaning; a test holds that file and this struct to each other.
 #pragma once
 
 #include <string>
@@ -13,7 +13,7 @@ namespace lcdm {
 // The defaults here are the product's. Immutable once the program runs.
 struct Config {
   struct Camera {
-    std::string source = "auto";
+    std::string source = "auto";  // for a desktop; the shipped file says v4l2:any
     int width = 640;
     int height = 480;
     double frames_per_second = 30;

@@ -117,7 +117,8 @@ std::vector<Finding> examine(const Config& config, const std::string& root) {
   V4l2Device device;
   const std::string node = configured_node(config.camera.source, nodes);
   if (!node.empty() && device.open(node)) {
-    findings.push_back(check_rate(list_modes(device), capture_request(config)));
+    const CaptureRequest request = capture_request(config);
+    findings.push_back(check_rate(list_modes(device, request), request));
   }
   std::uint64_t engine_bytes = 0;
   findings.push_back(check_model(config, engine_bytes));

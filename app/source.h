@@ -24,7 +24,8 @@ struct OpenedSource {
 
 // The forms a source may have, for messages.
 constexpr const char* kSourceForms =
-    "scene:, file:PATH, mcap:PATH, v4l2:/dev/..., v4l2:serial=TEXT, v4l2:name=TEXT or libcamera:ID";
+    "scene:, file:PATH, mcap:PATH, v4l2:/dev/..., v4l2:any, v4l2:serial=TEXT, v4l2:name=TEXT or "
+    "libcamera:ID";
 
 // Whether the text has the form of a source: a scheme we know and what it needs. Does not look
 // whether anything is there.

@@ -12,6 +12,8 @@
 namespace lcdm {
 namespace {
 
+constexpr StampSource kStamp = StampSource::kStartOfExposure;
+
 // libcamera stamps on CLOCK_BOOTTIME, which goes on while the machine sleeps.
 std::int64_t monotonic_from_boottime(std::int64_t boottime_ns) {
   timespec now{};
@@ -28,7 +30,7 @@ CameraInfo LibcameraSession::info() const {
   std::snprintf(text, sizeof(text), "%.80s, %s %dx%d%s%s", id_.c_str(), to_string(format.pixel),
                 format.width, format.height, refused_.empty() ? "" : "; it cannot set ",
                 refused_.c_str());
-  return {"libcamera:" + id_, text, frames_per_second_, StampSource::kStartOfExposure};
+  return {"libcamera:" + id_, text, frames_per_second_, kStamp};
 }
 
 Status LibcameraSession::start() {
@@ -80,6 +82,7 @@ Result<CapturedFrame> LibcameraSession::dequeue(std::chrono::milliseconds timeou
   }
   CapturedFrame frame;
   frame.index = done.index;
+  frame.stamp = kStamp;
   frame.view.format = format;
   frame.view.data = static_cast<const std::uint8_t*>(slot.memory) + slot.offset;
   frame.view.bytes = done.bytes;

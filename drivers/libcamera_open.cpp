@@ -144,25 +144,42 @@ Status LibcameraSession::map_buffers() {
   return Status::ok();
 }
 
-// The planes of a picture must follow each other in one piece of memory.
-Status LibcameraSession::map_slot(Slot& slot) const {
-  const auto& planes = slot.buffer->planes();
-  std::size_t end = 0;
+// A second plane must begin where the rows of the first end: that is where it is read.
+std::optional<PictureMemory> picture_memory(
+    const std::vector<libcamera::FrameBuffer::Plane>& planes, const FrameFormat& format) {
+  const auto rows_bytes =
+      static_cast<std::size_t>(format.stride) * static_cast<std::size_t>(format.height);
+  const bool two_planes = format.pixel == PixelFormat::kNv12 || format.pixel == PixelFormat::kNv21;
+  if (planes.empty() || planes.size() > (two_planes ? 2U : 1U)) return std::nullopt;
+  PictureMemory memory;
   for (std::size_t i = 0; i < planes.size(); ++i) {
     const bool known = planes[i].offset != libcamera::FrameBuffer::Plane::kInvalidOffset;
-    const std::size_t begin = known ? planes[i].offset : end;
-    if (i == 0) slot.offset = begin;
-    if (planes[i].fd.get() != planes[0].fd.get() || (i > 0 && begin != end)) {
-      return Status::error(StatusCode::kUnsupported,
-                           "libcamera:%s: keeps the planes of a picture apart", id_.c_str());
-    }
-    end = begin + planes[i].length;
+    const std::size_t follows = i == 0 ? 0 : memory.offset + memory.length;
+    const std::size_t begin = known ? planes[i].offset : follows;
+    if (i == 0) memory.offset = begin;
+    if (planes[i].fd.get() != planes[0].fd.get()) return std::nullopt;
+    if (i > 0 && begin != memory.offset + rows_bytes) return std::nullopt;
+    memory.length = begin + planes[i].length - memory.offset;
   }
+  if (memory.length == 0) return std::nullopt;
+  return memory;
+}
+
+Status LibcameraSession::map_slot(Slot& slot) const {
+  const auto& planes = slot.buffer->planes();
+  const std::optional<PictureMemory> picture = picture_memory(planes, format);
+  if (!picture) {
+    return Status::error(StatusCode::kUnsupported,
+                         "libcamera:%s: keeps the %zu planes of a %s picture apart: set [camera] "
+                         "width and height to another size",
+                         id_.c_str(), planes.size(), to_string(format.pixel));
+  }
+  slot.offset = picture->offset;
+  slot.length = picture->length;
   void* memory =
-      end == 0 ? MAP_FAILED : mmap(nullptr, end, PROT_READ, MAP_SHARED, planes[0].fd.get(), 0);
+      mmap(nullptr, slot.offset + slot.length, PROT_READ, MAP_SHARED, planes[0].fd.get(), 0);
   if (memory == MAP_FAILED) return failure(-errno, "cannot map a buffer");
   slot.memory = memory;
-  slot.length = end - slot.offset;
   return Status::ok();
 }
 

@@ -9,6 +9,7 @@
 #include <libcamera/libcamera.h>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -19,6 +20,16 @@ namespace lcdm {
 
 // The one manager that a process may have; it ends with its last user. Null: it does not start.
 std::shared_ptr<libcamera::CameraManager> shared_libcamera_manager();
+
+// Where a picture lies in the file of its planes.
+struct PictureMemory {
+  std::size_t offset = 0;
+  std::size_t length = 0;
+};
+
+// Empty: not in one piece that can be read as `format`. Pure.
+std::optional<PictureMemory> picture_memory(
+    const std::vector<libcamera::FrameBuffer::Plane>& planes, const FrameFormat& format);
 
 // Threads: as Camera, and libcamera's own, which calls the two on_ functions.
 class LibcameraSession {

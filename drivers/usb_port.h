@@ -20,7 +20,8 @@ class UsbPort final : public CameraPort {
   UsbPort& operator=(const UsbPort&) = delete;
 
   bool wait_for_arrival(std::chrono::milliseconds timeout) override;
-  // Needs write permission on the device's node, which systemd's rules give to root alone.
+  // Needs write permission on the device's node. Only root has it, unless a udev rule says
+  // otherwise: ours (systemd/lcdm.udev) gives that of a USB camera to the group `video`.
   Status reset(const std::string& usb) override;
 
  private:

@@ -27,7 +27,7 @@ Status V4l2Camera::open_and_configure(const CaptureRequest& request) {
   const Result<std::string> node = find_v4l2_node(selector_);
   if (!node) return node.status();
   LCDM_RETURN_IF_ERROR(device_.open(*node));
-  const std::vector<V4l2Mode> modes = list_modes(device_);
+  const std::vector<V4l2Mode> modes = list_modes(device_, request);
   const std::optional<V4l2Choice> choice = choose_mode(modes, request);
   if (!choice) return no_known_format(device_, modes);
   const Result<FrameFormat> format = queue_.set_format(*choice);
@@ -78,12 +78,12 @@ Result<CapturedFrame> V4l2Camera::dequeue(std::chrono::milliseconds timeout) {
   }
   CapturedFrame frame;
   frame.index = filled.index;
+  frame.stamp = queue_.stamp();
   frame.view.format = format_;
   frame.view.data = filled.data;
   frame.view.bytes = filled.bytes;
   frame.view.meta.sequence = sequence;
-  frame.view.meta.sensor_ns =
-      queue_.stamp() == StampSource::kArrival ? os::monotonic_ns() : filled.stamp_ns;
+  frame.view.meta.sensor_ns = filled.stamp_ns;
   frame.view.meta.unix_ns = frame.view.meta.sensor_ns + os::unix_offset_ns();
   return frame;
 }

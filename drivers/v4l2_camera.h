@@ -16,7 +16,7 @@ namespace lcdm {
 class V4l2Camera final : public Camera {
  public:
   // `selector` is a node, a link to one (/dev/v4l/by-id/... survives replugging, /dev/video0
-  // moves), serial=TEXT or name=TEXT: see find_v4l2_node. Looked up at every configure.
+  // moves), any, serial=TEXT or name=TEXT: see find_v4l2_node. Looked up at every configure.
   explicit V4l2Camera(std::string selector);
 
   Status configure(const CaptureRequest& request) override;

@@ -29,11 +29,12 @@ float rate_of(const v4l2_fract& period) {
              : static_cast<float>(period.denominator) / static_cast<float>(period.numerator);
 }
 
+// At the mode's least size.
 std::vector<float> list_rates(const V4l2Device& device, const V4l2Mode& mode) {
   v4l2_frmivalenum interval{};
   interval.pixel_format = mode.fourcc;
-  interval.width = static_cast<std::uint32_t>(mode.max_width);
-  interval.height = static_cast<std::uint32_t>(mode.max_height);
+  interval.width = static_cast<std::uint32_t>(mode.width);
+  interval.height = static_cast<std::uint32_t>(mode.height);
   std::vector<float> rates;
   for (; interval.index < kMostEntries; ++interval.index) {
     if (device.control(VIDIOC_ENUM_FRAMEINTERVALS, &interval) != 0) break;
@@ -45,9 +46,16 @@ std::vector<float> list_rates(const V4l2Device& device, const V4l2Mode& mode) {
   return rates;
 }
 
+// Of least, least + step, ... up to most, the one nearest to `wanted`.
+int nearest_step(int wanted, int least, int most, int step) {
+  const int last = most > least ? (most - least) / step : 0;
+  return least + std::clamp((wanted - least + step / 2) / step, 0, last) * step;
+}
+
 int bounded_side(std::uint32_t side) { return static_cast<int>(std::min(side, 1U << 16)); }
 
-void list_sizes(const V4l2Device& device, V4l2Mode mode, std::vector<V4l2Mode>& modes) {
+void list_sizes(const V4l2Device& device, V4l2Mode mode, const CaptureRequest& request,
+                std::vector<V4l2Mode>& modes) {
   v4l2_frmsizeenum size{};
   size.pixel_format = mode.fourcc;
   for (; size.index < kMostEntries; ++size.index) {
@@ -57,7 +65,9 @@ void list_sizes(const V4l2Device& device, V4l2Mode mode, std::vector<V4l2Mode>& 
     mode.height = bounded_side(discrete ? size.discrete.height : size.stepwise.min_height);
     mode.max_width = discrete ? mode.width : bounded_side(size.stepwise.max_width);
     mode.max_height = discrete ? mode.height : bounded_side(size.stepwise.max_height);
-    mode.rates = list_rates(device, mode);
+    mode.step_width = discrete ? 1 : bounded_side(std::max(size.stepwise.step_width, 1U));
+    mode.step_height = discrete ? 1 : bounded_side(std::max(size.stepwise.step_height, 1U));
+    mode.rates = list_rates(device, narrowed(mode, request));
     modes.push_back(mode);
     if (!discrete) return;
   }
@@ -92,18 +102,6 @@ struct Cost {
                                                           "needs no decoding", "fewest bytes"};
   std::array<float, 5> figures{};
 };
-
-// The mode with its range narrowed to the size nearest to the request.
-V4l2Mode narrowed(V4l2Mode mode, const CaptureRequest& request) {
-  if (mode.width == 0) {  // listed without sizes: S_FMT will say
-    mode.width = request.width;
-    mode.height = request.height;
-  } else {
-    mode.width = std::clamp(request.width, mode.width, std::max(mode.width, mode.max_width));
-    mode.height = std::clamp(request.height, mode.height, std::max(mode.height, mode.max_height));
-  }
-  return mode;
-}
 
 float size_distance(const V4l2Mode& mode, const CaptureRequest& request) {
   return static_cast<float>(std::abs(mode.width - request.width) +
@@ -169,7 +167,20 @@ std::string fourcc_text(std::uint32_t fourcc) {
   return text.substr(0, text.find_last_not_of(' ') + 1);
 }
 
-std::vector<V4l2Mode> list_modes(const V4l2Device& device) {
+V4l2Mode narrowed(V4l2Mode mode, const CaptureRequest& request) {
+  if (mode.width == 0) {  // listed without sizes: S_FMT will say
+    mode.width = request.width;
+    mode.height = request.height;
+  } else {
+    mode.width = nearest_step(request.width, mode.width, mode.max_width, mode.step_width);
+    mode.height = nearest_step(request.height, mode.height, mode.max_height, mode.step_height);
+  }
+  mode.max_width = mode.width;
+  mode.max_height = mode.height;
+  return mode;
+}
+
+std::vector<V4l2Mode> list_modes(const V4l2Device& device, const CaptureRequest& request) {
   std::vector<V4l2Mode> modes;
   v4l2_fmtdesc description{};
   description.type = device.queue();
@@ -177,7 +188,7 @@ std::vector<V4l2Mode> list_modes(const V4l2Device& device) {
     if (device.control(VIDIOC_ENUM_FMT, &description) != 0) break;
     V4l2Mode mode;
     mode.fourcc = description.pixelformat;
-    list_sizes(device, mode, modes);
+    list_sizes(device, mode, request, modes);
   }
   return modes;
 }

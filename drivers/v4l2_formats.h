@@ -20,10 +20,16 @@ struct V4l2Mode {
   int max_width = 0;         // of a range; as width where there is one size
   int max_height = 0;        //
   std::vector<float> rates;  // frames/s, as the driver orders them; may be empty
+  int step_width = 1;        // of a range, from width on
+  int step_height = 1;       //
 };
 
-// Everything the node lists, in its order; bounded, whatever it answers.
-std::vector<V4l2Mode> list_modes(const V4l2Device& device);
+// Everything the node lists, in its order; bounded, whatever it answers. The rates of a range are
+// those at its size nearest to the request.
+std::vector<V4l2Mode> list_modes(const V4l2Device& device, const CaptureRequest& request);
+
+// The mode with its range narrowed to the size nearest to the request, which is what is asked for.
+V4l2Mode narrowed(V4l2Mode mode, const CaptureRequest& request);
 
 // "YUYV"; characters that are none become '?'.
 std::string fourcc_text(std::uint32_t fourcc);

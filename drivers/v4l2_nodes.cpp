@@ -71,7 +71,7 @@ V4l2Node examine(const std::string& path) {
   if (!opened) {
     node.reason = opened.text();
   } else {
-    const std::vector<V4l2Mode> modes = list_modes(device);
+    const std::vector<V4l2Mode> modes = list_modes(device, {});
     node.usable = choose_mode(modes, {}).has_value();
     if (!node.usable) node.reason = no_known_format(device, modes).text();
   }
@@ -93,12 +93,14 @@ std::vector<V4l2Node> list_v4l2_nodes() {
 }
 
 Result<std::string> find_v4l2_node(const std::string& selector) {
+  const bool any = selector == "any";
   const bool by_serial = selector.rfind("serial=", 0) == 0;
   const bool by_name = selector.rfind("name=", 0) == 0;
-  if (!by_serial && !by_name) return selector;
-  const std::string wanted = selector.substr(selector.find('=') + 1);
+  if (!any && !by_serial && !by_name) return selector;
+  const std::string wanted = any ? "" : selector.substr(selector.find('=') + 1);
   for (const V4l2Node& node : list_v4l2_nodes()) {
-    if (node.usable && wanted == (by_serial ? node.serial : node.card)) return node.path;
+    if (!node.usable) continue;
+    if (any || wanted == (by_serial ? node.serial : node.card)) return node.path;
   }
   return Status::error(StatusCode::kNotFound,
                        "v4l2:%.120s: no such camera: is it plugged in? `lcdm probe` lists those "

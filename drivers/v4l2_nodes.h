@@ -25,9 +25,9 @@ struct V4l2Node {
 // Every /dev/video* node, in the order of their numbers. Opens each for a moment.
 std::vector<V4l2Node> list_v4l2_nodes();
 
-// The node that `selector` means now: a path (a node, or a link as /dev/v4l/by-id/...), serial=TEXT
-// or name=TEXT (the first node that captures, of the camera with exactly that serial or name).
-// kNotFound: no such camera is plugged in. A path is not looked at.
+// The node that `selector` means now: a path (a node, or a link as /dev/v4l/by-id/...), any (the
+// first usable node), serial=TEXT or name=TEXT (the first usable node of the camera with exactly
+// that serial or name). kNotFound: no such camera is plugged in. A path is not looked at.
 Result<std::string> find_v4l2_node(const std::string& selector);
 
 // The node of the USB device behind a video node (or a link to one); empty: it is not on USB.

@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <optional>
 #include <sys/mman.h>
+
+#include "firmware/base/os.h"
 
 namespace lcdm {
 namespace {
@@ -12,6 +15,8 @@ constexpr std::uint32_t kBuffersOutside = 3;
 constexpr std::uint32_t kLeastBuffers = 4;
 constexpr std::uint32_t kMostBuffers = 32;
 constexpr std::uint32_t kMaxSide = 8192;
+// A frame that waited longer for us cannot be: by then the watchdog has ended the process.
+constexpr std::int64_t kOldestNs = 10'000'000'000;
 
 // What S_FMT answered, of either kind of queue.
 struct Answer {
@@ -72,9 +77,17 @@ StampSource stamp_source(std::uint32_t flags) {
              : StampSource::kEndOfFrame;
 }
 
-std::int64_t to_ns(const timeval& time) {
-  return static_cast<std::int64_t>(time.tv_sec) * 1'000'000'000 +
-         static_cast<std::int64_t>(time.tv_usec) * 1'000;
+// The stamp of a frame that is taken at `now_ns`; empty where it can be none. Every number is
+// possible: drivers forget to stamp, stamp on another clock, or in the future.
+std::optional<std::int64_t> believable_ns(const timeval& time, std::int64_t now_ns) {
+  constexpr std::int64_t kSecond = 1'000'000'000;
+  const auto seconds = static_cast<std::int64_t>(time.tv_sec);
+  const auto microseconds = static_cast<std::int64_t>(time.tv_usec);
+  if (seconds < 0 || seconds > now_ns / kSecond) return std::nullopt;  // nor can it overflow now
+  if (microseconds < 0 || microseconds >= 1'000'000) return std::nullopt;
+  const std::int64_t stamp_ns = seconds * kSecond + microseconds * 1'000;
+  const bool believable = stamp_ns > 0 && stamp_ns <= now_ns && now_ns - stamp_ns <= kOldestNs;
+  return believable ? std::optional(stamp_ns) : std::nullopt;
 }
 
 }  // namespace
@@ -181,7 +194,7 @@ Status V4l2Queue::enqueue(int index) {
   return Status::ok();
 }
 
-int V4l2Queue::dequeue(V4l2Filled& filled) const {
+int V4l2Queue::dequeue(V4l2Filled& filled) {
   Slot slot;
   prepare(slot, 0);
   if (const int fault = device_.control(VIDIOC_DQBUF, &slot.buffer); fault != 0) return fault;
@@ -196,8 +209,18 @@ int V4l2Queue::dequeue(V4l2Filled& filled) const {
   filled.bytes = inside ? end - begin : 0;
   filled.flags = slot.buffer.flags;
   filled.sequence = slot.buffer.sequence;
-  filled.stamp_ns = to_ns(slot.buffer.timestamp);
+  filled.stamp_ns = stamp_of(slot.buffer);
   return 0;
+}
+
+// The driver's stamp, or the time of arrival. A driver that was wrong once is not asked again: the
+// stamps of one stream mean one thing.
+std::int64_t V4l2Queue::stamp_of(const v4l2_buffer& buffer) {
+  const std::int64_t now_ns = os::monotonic_ns();
+  if (stamp_ == StampSource::kArrival) return now_ns;
+  const std::optional<std::int64_t> stamp_ns = believable_ns(buffer.timestamp, now_ns);
+  if (!stamp_ns) stamp_ = StampSource::kArrival;
+  return stamp_ns.value_or(now_ns);
 }
 
 // An empty slot for this queue. It must not move afterwards: the buffer points to the plane.

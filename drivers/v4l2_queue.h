@@ -20,7 +20,7 @@ struct V4l2Filled {
   std::size_t bytes = 0;
   std::uint32_t flags = 0;     // V4L2_BUF_FLAG_...
   std::uint32_t sequence = 0;  // the driver's count, 32 bits
-  std::int64_t stamp_ns = 0;   // on the clock that the flags name
+  std::int64_t stamp_ns = 0;   // CLOCK_MONOTONIC; of the moment that stamp() names
 };
 
 // Borrows the device, which must stay open while buffers are mapped. Threads: as Camera.
@@ -40,6 +40,7 @@ class V4l2Queue {
   void unmap();
 
   int size() const { return static_cast<int>(buffers_.size()); }
+  // What the stamps of frames mean: kArrival from the first useless one to the next `map`.
   StampSource stamp() const { return stamp_; }
 
   // Gives every buffer to the driver and starts it. `stop` takes all back, also after a start that
@@ -49,7 +50,7 @@ class V4l2Queue {
 
   Status enqueue(int index);
   // 0, or the errno: EAGAIN when there is none. EBADMSG: what the driver answered makes no sense.
-  int dequeue(V4l2Filled& filled) const;
+  int dequeue(V4l2Filled& filled);
 
  private:
   struct Mapping {
@@ -63,6 +64,7 @@ class V4l2Queue {
   };
 
   void prepare(Slot& slot, std::uint32_t index) const;
+  std::int64_t stamp_of(const v4l2_buffer& buffer);
   Status map_one(std::uint32_t index);
 
   const V4l2Device& device_;

@@ -17,6 +17,9 @@
 namespace lcdm {
 namespace {
 
+// What `lcdm run` asks for by default: a range of sizes has its rates told for the nearest of them.
+constexpr CaptureRequest kRequest{};
+
 struct Probed {
   V4l2Node node;
   std::vector<V4l2Mode> modes;  // empty where the node is not usable
@@ -27,7 +30,9 @@ std::vector<Probed> probe_v4l2() {
   for (V4l2Node& node : list_v4l2_nodes()) {
     Probed probed{std::move(node), {}};
     V4l2Device device;
-    if (probed.node.usable && device.open(probed.node.path)) probed.modes = list_modes(device);
+    if (probed.node.usable && device.open(probed.node.path)) {
+      probed.modes = list_modes(device, kRequest);
+    }
     found.push_back(std::move(probed));
   }
   return found;
@@ -41,14 +46,21 @@ std::vector<std::string> probe_libcamera() {
 #endif
 }
 
-// "640x480", or "16x16 to 4096x2160".
+bool is_range(const V4l2Mode& mode) {
+  return mode.max_width != mode.width || mode.max_height != mode.height;
+}
+
+// "640x480", or "16x16 to 4096x2160, 640x480:".
 std::string size_text(const V4l2Mode& mode) {
+  const auto size = [](int width, int height) {
+    return std::to_string(width) + "x" + std::to_string(height);
+  };
   if (mode.width == 0) return "any size";
-  std::string text = std::to_string(mode.width) + "x" + std::to_string(mode.height);
-  if (mode.max_width != mode.width || mode.max_height != mode.height) {
-    text += " to " + std::to_string(mode.max_width) + "x" + std::to_string(mode.max_height);
-  }
-  return text;
+  std::string text = size(mode.width, mode.height);
+  if (!is_range(mode)) return text;
+  text += " to " + size(mode.max_width, mode.max_height);
+  const V4l2Mode nearest = narrowed(mode, kRequest);
+  return mode.rates.empty() ? text : text + ", " + size(nearest.width, nearest.height) + ":";
 }
 
 void print_mode(const V4l2Mode& mode) {

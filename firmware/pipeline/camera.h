@@ -49,6 +49,8 @@ struct CameraInfo {
 struct CapturedFrame {
   int index = -1;
   FrameView view;
+  // What view.meta.sensor_ns means: as info() said, unless the source's stamps have proved useless.
+  StampSource stamp = StampSource::kArrival;
 };
 
 // Owns its buffers. Used from one thread at a time: configure and info where it is opened,

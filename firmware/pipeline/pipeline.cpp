@@ -110,10 +110,17 @@ void Pipeline::capture_loop(const Status& opened) {
 
 void Pipeline::forward(const CapturedFrame& captured) {
   last_frame_ns_ = os::monotonic_ns();
+  if (captured.stamp != stamp_) note_stamp(captured.stamp);
   health_.note_captured(captured.view.meta.sequence);
   mailbox_.put({pool_->lend(captured.index, captured.view), generation_});
   health_.set_dropped(mailbox_.overwrites());
   if (options_.seal_capture) alloc_watch::seal_thread();  // steady from here on
+}
+
+// What the camera's stamps mean has changed: the status must not say more than they do.
+void Pipeline::note_stamp(StampSource stamp) {
+  const std::lock_guard lock(mutex_);
+  source_.info.stamp = stamp_ = stamp;
 }
 
 void Pipeline::give_back_returned() {
@@ -145,6 +152,7 @@ Status Pipeline::configure_camera() {
   ++generation_;
   const CameraInfo info = camera_.info();
   three_periods_ = three_periods(info.frames_per_second);
+  stamp_ = info.stamp;
   const std::lock_guard lock(mutex_);
   source_ = {info, camera_.format(), camera_.model()};
   return Status::ok();

@@ -107,6 +107,7 @@ class Pipeline {
   // Capture thread (and start, before it exists).
   void capture_loop(const Status& opened);
   void forward(const CapturedFrame& captured);
+  void note_stamp(StampSource stamp);
   void give_back_returned();
   void close_camera();
   void wait_until_nothing_is_lent();
@@ -148,11 +149,12 @@ class Pipeline {
   std::atomic<bool> has_small_engine_;     // written by infer
   Health health_;
   Mailbox<Captured> mailbox_;
-  std::optional<FramePool> pool_;   // capture thread; replaced only while nothing is lent
-  RecoveryLadder ladder_;           // capture thread
-  std::uint64_t generation_ = 0;    // capture thread; counts openings
-  std::int64_t last_frame_ns_ = 0;  // capture thread
-  std::int64_t seen_depth_ns_ = 0;  // capture thread; the depth that the ladder knows
+  std::optional<FramePool> pool_;  // capture thread; replaced only while nothing is lent
+  RecoveryLadder ladder_;          // capture thread
+  std::uint64_t generation_ = 0;   // capture thread; counts openings
+  StampSource stamp_ = StampSource::kArrival;     // capture thread; what source_ says
+  std::int64_t last_frame_ns_ = 0;                // capture thread
+  std::int64_t seen_depth_ns_ = 0;                // capture thread; the depth that the ladder knows
   std::chrono::milliseconds three_periods_{100};  // capture thread; of the camera's frames
 
   std::unique_ptr<Engine> engine_;              // infer thread; null: none for this source

@@ -12,8 +12,9 @@ set_service() {
 # Drivers that Debian does not build. Without depmod, which takes minutes here; what vimc needs is
 # loaded with vivid.
 board_modules() {
-  tests/appliance/guest_modules.sh "$guest" >&2 || return
-  tar -c -C "$guest"/modules-* . | on_guest 'tar -x -C /root && insmod /root/gpio-sim.ko &&
+  local modules
+  modules=$(tests/appliance/guest_modules.sh "$guest") || return
+  tar -c -C "$modules" . | on_guest 'tar -x -C /root && insmod /root/gpio-sim.ko &&
     modprobe vivid && insmod /root/vimc.ko' >&2
 }
 
@@ -43,10 +44,10 @@ press_button() {
 gpio_light() {
   local streaming waiting stopped
   streaming=$(line_samples 0)
-  on_guest 'echo vivid.0 >/sys/bus/platform/drivers/vivid/unbind'
-  within 20 state_is 'waiting for camera' >&2 || return
+  unplug
+  within 20 state_is 'waiting for camera' >&2
   waiting=$(line_samples 0)
-  on_guest 'echo vivid.0 >/sys/bus/platform/drivers/vivid/bind'
+  plug_in
   on_guest systemctl stop lcdm
   stopped=$(line_samples 0)
   on_guest systemctl start lcdm
@@ -85,14 +86,19 @@ gpio_power_off() {
 }
 guest_is_off() { ! kill -0 "$guest_pid" 2>/dev/null; }
 
-# The host's end of the cable is a network name space of the same guest.
+# The host's end of the cable is a network name space of the same guest. The service is up before the
+# network is: the address that it left out is one it listens on afterwards.
 host_end='ip netns exec host'
 usb_network() {
+  set_service LCDM_HTTP_LISTEN=127.0.0.1,10.0.2.15,192.168.58.1
+  within 60 depth_flows >&2 || return
+  on_guest 'journalctl -b -u lcdm | grep -q "does not have 192.168.58.1: left out"' || return
   on_guest 'modprobe dummy_hcd && modprobe cdc_ncm && systemctl start lcdm-usb' >&2 || return
   usb_host_gets_address >&2 || return
-  on_guest "$host_end curl -sf --max-time 20 http://192.168.58.1:8080/healthz" >&2 || return
+  within 60 usb_page_answers >&2 || return
   on_guest "$host_end ip -4 -o address show dev cable | grep -o '192[0-9.]*/24'"
 }
+usb_page_answers() { on_guest "$host_end curl -sf --max-time 5 http://192.168.58.1:8080/healthz"; }
 usb_host_gets_address() {
   on_guest 'for i in $(seq 60); do
       link=$(ip -o link | sed -n "s/^[0-9]*: \([^:]*\):.*02:1c:d3:00:00:02.*/\1/p")
@@ -107,13 +113,47 @@ usb_control_is_refused() {
   echo "POST /record/start over the cable: $code"
   [[ $code == 401 || $code == 403 ]]
 }
+# Without an address the gadget is no use: it is taken back, and the controller is free.
+usb_failed_up() {
+  on_guest 'systemctl stop lcdm-usb && mkdir -p /root/blind && ln -sf /bin/true /root/blind/ip &&
+    ! PATH=/root/blind:$PATH /usr/libexec/lcdm/usb-gadget up &&
+    [ ! -e /sys/kernel/config/usb_gadget/lcdm ]' >&2
+}
+
 # Down leaves nothing, twice is no mistake, and up makes it anew.
 usb_down_and_up() {
-  on_guest 'systemctl stop lcdm-usb && ! ls -d /sys/kernel/config/usb_gadget/lcdm &&
+  on_guest 'systemctl stop lcdm-usb && [ ! -e /sys/kernel/config/usb_gadget/lcdm ] &&
     /usr/libexec/lcdm/usb-gadget down && systemctl start lcdm-usb &&
     /usr/libexec/lcdm/usb-gadget up' >&2 || return
   usb_host_gets_address >&2 || return
-  on_guest "$host_end curl -sf --max-time 20 http://192.168.58.1:8080/healthz" >&2
+  within 60 usb_page_answers
+}
+
+# In place of Jetson's two programs stand ones that write down how they were called. As the real one,
+# this jetson_clocks stores over no file and restores from none that is missing.
+jetson_power() {
+  on_guest 'cat >/usr/sbin/nvpmodel && cp /usr/sbin/nvpmodel /usr/bin/jetson_clocks &&
+    chmod +x /usr/sbin/nvpmodel /usr/bin/jetson_clocks' <<'END'
+#!/bin/sh
+echo "${0##*/}" "$@" >>/run/jetson.log
+case $1 in
+  --store) [ ! -e "$2" ] && echo clocks >"$2" ;;
+  --restore) [ -s "$2" ] ;;
+esac
+END
+  on_guest 'for i in 1 2; do systemctl start lcdm-jetson-power && systemctl stop lcdm-jetson-power || exit; done' >&2 || return
+  on_guest 'rm /usr/sbin/nvpmodel /usr/bin/jetson_clocks; cat /run/jetson.log' >"$work/jetson.log" || return
+  cat "$work/jetson.log" >&2
+  diff - "$work/jetson.log" >&2 <<'END'
+nvpmodel -m 0
+jetson_clocks --store /run/lcdm-jetson-power/clocks
+jetson_clocks
+jetson_clocks --restore /run/lcdm-jetson-power/clocks
+nvpmodel -m 0
+jetson_clocks --store /run/lcdm-jetson-power/clocks
+jetson_clocks
+jetson_clocks --restore /run/lcdm-jetson-power/clocks
+END
 }
 
 libcamera_streams() {

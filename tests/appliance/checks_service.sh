@@ -3,30 +3,51 @@
 # Some 20 s on an idle machine; on one that is busy with other things, minutes.
 boots() { within 600 wait_guest 600; }
 
-# The service as the checks run it: a network small enough for an emulated processor. The camera is
-# named, so that it is waited for.
-configure_service() {
-  # A host busy with other things may leave an emulated processor standing for long.
-  on_guest 'mkdir -p /etc/systemd/system.conf.d
-    printf "[Manager]\nRuntimeWatchdogSec=40s\n" >/etc/systemd/system.conf.d/zz-guest.conf'
-  on_guest "mkdir -p /etc/systemd/system/lcdm.service.d
-    cat >/etc/systemd/system/lcdm.service.d/guest.conf" <<'END'
-[Service]
-Environment=LCDM_MODEL_WIDTH=64 LCDM_MODEL_HEIGHT=64
-Environment=LCDM_CAMERA_WIDTH=320 LCDM_CAMERA_HEIGHT=180 LCDM_CAMERA_FRAMES_PER_SECOND=5
-Environment=LCDM_CAMERA_SOURCE=v4l2:/dev/video0
-Environment=LCDM_HTTP_LISTEN=0.0.0.0
-END
-}
-
 # The unit is active only after READY=1, which without a camera is the declared wait.
 service_is_ready() { on_guest systemctl is-active --quiet lcdm; }
 state_is() { [[ $(status .device.state) == "$1" ]]; }
 
 package_installs() {
-  configure_service
+  # A host busy with other things may leave an emulated processor standing for long.
+  on_guest 'mkdir -p /etc/systemd/system.conf.d
+    printf "[Manager]\nRuntimeWatchdogSec=40s\n" >/etc/systemd/system.conf.d/zz-guest.conf'
   to_guest "$package" /root/lcdm.deb
   on_guest 'dpkg -i /root/lcdm.deb && systemctl is-enabled lcdm lcdm-poweroff.path' >&2 || return
+  within 90 service_is_ready
+}
+
+# Nobody has touched the configuration, and no camera is there: it is waited for, and the rendered
+# scene is not shown in its place.
+boots_as_shipped() {
+  local boot
+  boot=$(boot_number)
+  on_guest systemctl reboot >&2 || true
+  hang_up
+  within 600 wait_guest 600 "$boot" >&2 || return
+  within 120 service_is_ready >&2 || return
+  on_guest 'dpkg -V lcdm | grep lcdm.toml' >&2 && return 1
+  on_guest 'curl -sf --max-time 10 localhost:8080/status.json' >"$work/shipped.json" || return
+  jq -re '"\(.source.uri): \(.device.state)"' "$work/shipped.json" | tee "$work/shipped"
+  [[ $(<"$work/shipped") == 'v4l2:any: waiting for camera' ]]
+}
+
+recordings_are_private() {
+  local modes
+  modes=$(on_guest 'stat -c "%a %U" /var/lib/lcdm /var/lib/lcdm/recordings | sort -u')
+  echo "$modes"
+  [[ $modes == '750 lcdm' ]]
+}
+
+# From here on a network small enough for an emulated processor, and a page that we can reach.
+configure_service() {
+  on_guest "mkdir -p /etc/systemd/system/lcdm.service.d
+    cat >/etc/systemd/system/lcdm.service.d/guest.conf" <<'END'
+[Service]
+Environment=LCDM_MODEL_WIDTH=64 LCDM_MODEL_HEIGHT=64
+Environment=LCDM_CAMERA_WIDTH=320 LCDM_CAMERA_HEIGHT=180 LCDM_CAMERA_FRAMES_PER_SECOND=5
+Environment=LCDM_HTTP_LISTEN=0.0.0.0
+END
+  on_guest 'systemctl daemon-reload && systemctl restart lcdm' >&2 || return
   within 90 service_is_ready
 }
 
@@ -84,12 +105,12 @@ boot_to_depth() {
     sed -n 's/^\[ *\([0-9]*\.[0-9]\).* streaming$/\1 s/p' | head -1 | grep .
 }
 
-# The plug is pulled while a recording is written; after the next boot it is complete up to the last
-# second.
+# The plug is pulled after 8 s of recording; after the next boot all but the last second is there. One
+# more is for the start.
 power_cut_keeps_recording() {
-  local file begin
+  local file begin span_ns
   on_guest 'curl -sf -X POST localhost:8080/record/start && sleep 8' >&2 || return
-  file=$(status .recording.file)
+  file=$(status .recording.file) || return
   kill_guest
   start_guest
   begin=$EPOCHREALTIME
@@ -97,8 +118,9 @@ power_cut_keeps_recording() {
   within 120 depth_flows >&2 || return
   on_guest "cat '/var/lib/lcdm/${file#/var/lib/lcdm/}'" >"$work/cut.mcap" || return
   node tests/peers/read_mcap.mjs "$work/cut.mcap" --stream >"$work/cut.json" || return
-  echo "$(jq '.messages | length' "$work/cut.json") messages read; depth again $(seconds "$(elapsed_ms "$begin")")"
-  (($(jq '.messages | length' "$work/cut.json") > 0))
+  span_ns=$(jq -re '[.messages[].stamp | tonumber] | max - min' "$work/cut.json") || return
+  echo "$(jq '.messages | length' "$work/cut.json") messages over $(seconds $((span_ns / 1000000))); depth again $(seconds "$(elapsed_ms "$begin")")"
+  ((span_ns > 6000000000))
 }
 
 # The same version again is an upgrade to dpkg: the service is restarted and configuration kept.
@@ -111,6 +133,17 @@ package_upgrades() {
 package_purges() {
   on_guest 'dpkg -r lcdm && ! systemctl is-active --quiet lcdm && test -e /etc/lcdm/lcdm.toml &&
     test -d /var/lib/lcdm/recordings' >&2 || return
-  on_guest 'dpkg -P lcdm && ! ls -d /etc/lcdm /var/lib/lcdm /usr/share/lcdm /usr/bin/lcdm \
-    /etc/systemd/system/*.wants/lcdm* && systemctl --failed --quiet --no-legend | wc -l | grep -qx 0' >&2
+  on_guest 'dpkg -P lcdm && [ -z "$(ls -d /etc/lcdm /var/lib/lcdm /usr/share/lcdm /usr/bin/lcdm \
+    /etc/systemd/system/*.wants/lcdm* 2>/dev/null)" ] && [ -z "$(systemctl --failed --quiet --no-legend)" ]' >&2
+}
+
+# Devices that are there already get their groups from the package. Those of the kernel's own are
+# taken back before.
+package_finds_devices() {
+  local groups
+  on_guest 'chown root:root /dev/gpiochip* && chmod 600 /dev/gpiochip*' >&2 || return
+  package_installs >&2 || return
+  groups=$(on_guest 'udevadm settle && stat -c "%n %G %a" /dev/gpiochip*')
+  echo "$groups" | paste -sd, -
+  ! grep -v ' gpio 660$' <<<"$groups" >&2
 }

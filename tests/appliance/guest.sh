@@ -1,14 +1,41 @@
 # The guest: QEMU without KVM, reached by ssh and HTTP through forwarded loopback ports. Sourced.
 #
 # Its disk is an overlay over the image, so that every run begins with a machine that never booted.
-# $guest is the folder of image, kernel and key; $work that of this run.
 
-ssh_options=(
-  -i "$guest/key" -o UserKnownHostsFile=/dev/null -o StrictHostKeyChecking=no -o LogLevel=ERROR
-  -o ConnectTimeout=20 -o ServerAliveInterval=10 -o ServerAliveCountMax=6
-  -o ControlMaster=auto -o ControlPath="$work/ssh" -o ControlPersist=600
-)
+guest=$PWD/build/appliance/guest  # image, kernel and key
+work=                             # the folder of this run: disk, console, logs
 guest_pid=
+
+# open_guest NAME: switches a new guest on, in which $package (made now, if it is empty) can be
+# installed. On a machine that can have none it says so and ends. NAME is the caller's.
+open_guest() {
+  local reason
+  reason=$(why_no_guest)
+  [[ -z $reason ]] || { echo "$1.sh: skipped: $reason"; exit 0; }
+  [[ -n $package ]] || package=$(./package.sh | tail -1)
+  mkdir -p "$guest"
+  work=$(mktemp -d "$PWD/build/appliance/$1.XXXX")
+  trap 'close_guest $?' EXIT
+  ssh_options=(
+    -i "$guest/key" -o UserKnownHostsFile=/dev/null -o StrictHostKeyChecking=no -o LogLevel=ERROR
+    -o ConnectTimeout=20 -o ServerAliveInterval=10 -o ServerAliveCountMax=6
+    -o ControlMaster=auto -o ControlPath="$work/ssh" -o ControlPersist=600
+  )
+  tests/appliance/guest_image.sh "$package" "$guest"
+  new_disk
+  start_guest
+}
+
+# close_guest STATUS: ends it; the logs are kept unless all went well.
+close_guest() {
+  if (($1 != 0)); then
+    [[ -z $guest_pid ]] || timeout 60 ssh "${ssh_options[@]}" -p "$ssh_port" root@127.0.0.1 \
+      journalctl --no-pager >"$work/journal.log" 2>/dev/null || true
+    echo "logs: $work"
+  fi
+  kill_guest
+  if (($1 == 0)); then rm -rf "$work"; else rm -f "$work/disk.qcow2"; fi
+}
 
 # Why no guest can be booted on this machine; nothing when one can.
 why_no_guest() {
@@ -78,8 +105,9 @@ kill_guest() {
   guest_pid=
 }
 
-# status FILTER: something of the service's status, by a filter of jq; nothing when it is silent.
-status() { curl -sf --max-time 5 "$web/status.json" | jq -r "$1"; }
+# status FILTER: something of the service's status, by a filter of jq. Fails when the service is
+# silent, and when there is no such thing in it (null).
+status() { curl -sf --max-time 5 "$web/status.json" | jq -re "$1"; }
 
 # http_code PATH [OPTION...]: the number a request is answered with.
 http_code() { curl -s -o /dev/null --max-time 10 -w '%{http_code}' "$web$1" "${@:2}"; }

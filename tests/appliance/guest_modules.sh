@@ -2,7 +2,9 @@
 # Builds the kernel's test drivers that Debian leaves out, for the kernel of the guest's image:
 # gpio-sim (simulated GPIO lines) and vimc (a camera that only libcamera makes sense of).
 #
-#   tests/appliance/guest_modules.sh FOLDER        puts gpio-sim.ko and vimc.ko into FOLDER
+#   tests/appliance/guest_modules.sh FOLDER        FOLDER is the image's
+#
+# The last line printed is the folder in it that then holds gpio-sim.ko and vimc.ko.
 #
 # From Debian's own kernel source and headers, which it installs (about 200 MB).
 set -euo pipefail
@@ -11,13 +13,14 @@ folder=$(realpath "$1")
 as_root() { if [[ $(id -u) -eq 0 ]]; then "$@"; else sudo "$@"; fi; }
 packages=(linux-headers-amd64 linux-source xz-utils)
 dpkg-query -W "${packages[@]}" >/dev/null 2>&1 ||
-  as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "${packages[@]}"
+  as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "${packages[@]}" >&2
 
 # The headers' version must be the image's: a module of another does not load.
 version=$(strings "$folder/vmlinuz" | sed -n 's/^\(6[^ ]*-amd64\) .*/\1/p' | head -1)
 headers=/usr/src/linux-headers-$version
 [[ -d $headers ]] || { echo "guest_modules: no $headers: rebuild the image, it is older" >&2; exit 1; }
-[[ -e $folder/modules-$version/vimc.ko ]] && exit 0
+modules=$folder/modules-$version
+[[ ! -e $modules/vimc.ko ]] || { echo "$modules"; exit 0; }
 
 source=$(mktemp -d)
 trap 'rm -rf "$source"' EXIT
@@ -37,6 +40,7 @@ cat >"$build/Kbuild" <<'END'
 obj-m += gpio-sim.o vimc/
 gpio-sim-y := gpio-sim-main.o irq_sim.o
 END
-make -s -C "$headers" M="$build" CONFIG_VIDEO_VIMC=m modules
-mkdir -p "$folder/modules-$version"
-cp "$build/gpio-sim.ko" "$build/vimc/vimc.ko" "$folder/modules-$version/"
+make -s -C "$headers" M="$build" CONFIG_VIDEO_VIMC=m modules >&2
+mkdir -p "$modules"
+cp "$build/gpio-sim.ko" "$build/vimc/vimc.ko" "$modules/"
+echo "$modules"

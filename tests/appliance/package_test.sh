@@ -25,8 +25,12 @@ grep -qx /etc/lcdm/lcdm.toml "$work/DEBIAN/conffiles" || fail 'the configuration
 dpkg-deb -f "$package" Depends | grep -q 'libopencv-core' || fail 'libraries are no dependencies'
 
 # 20 is an exposure of 2.0.
-systemd-analyze security --offline=yes --threshold=20 --no-pager \
-  "$work/lib/systemd/system/lcdm.service" >"$work/exposure" || fail 'exposure of lcdm.service'
-tail -1 "$work/exposure"
+if (($(systemctl --version | sed -n '1s/^systemd \([0-9]*\).*/\1/p') >= 250)); then
+  systemd-analyze security --offline=yes --threshold=20 --no-pager \
+    "$work/lib/systemd/system/lcdm.service" >"$work/exposure" || fail 'exposure of lcdm.service'
+  tail -1 "$work/exposure"
+else
+  echo 'exposure of lcdm.service: not looked at, which takes systemd 250'
+fi
 lintian --fail-on error "$package" || fail lintian
 ((failures == 0)) && echo "PASS  $(basename "$package")"

@@ -207,6 +207,7 @@ TEST_P(CameraContract, FramesRiseInSequenceAndTime) {
     ASSERT_TRUE(frame) << frame.status().text();
     const FrameView& view = frame->view;
     EXPECT_EQ(view.format, camera_->format());
+    EXPECT_EQ(frame->stamp, camera_->info().stamp);
     EXPECT_GE(view.meta.sequence, expected);
     if (!GetParam().real) {
       EXPECT_EQ(view.meta.sequence, expected);

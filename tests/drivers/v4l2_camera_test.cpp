@@ -3,8 +3,11 @@
 #include "drivers/v4l2_camera.h"
 
 #include <chrono>
+#include <cstdint>
 #include <gtest/gtest.h>
+#include <limits>
 #include <string>
+#include <sys/time.h>
 
 #include "firmware/base/alloc_watch.h"
 #include "firmware/base/os.h"
@@ -174,6 +177,27 @@ TEST_F(V4l2CameraTest, RefusesPlanesInSeparateMemory) {
   EXPECT_NE(std::string(status.text()).find("2 planes"), std::string::npos) << status.text();
 }
 
+// Only the full size is slow: judged by that, the small one would be too.
+TEST_F(V4l2CameraTest, TheRateOfARangeIsThatOfTheSizeThatIsTaken) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.range = {{64, 64, 0}, {1920, 1088, 0}, 64, 640 * 480 * 30};
+  const FakeV4l2 device(behaviour);
+  V4l2Device opened;
+  ASSERT_TRUE(opened.open(FakeV4l2::kPath));
+  CaptureRequest request;
+  request.width = 650;  // off the driver's grid, where it lists no rates
+  request.height = 470;
+  const std::vector<V4l2Mode> modes = list_modes(opened, request);
+  ASSERT_EQ(modes.size(), 1U);
+  EXPECT_EQ(modes[0].max_width, 1920);
+  ASSERT_EQ(modes[0].rates.size(), 1U);
+  EXPECT_NEAR(modes[0].rates[0], 640 * 480 * 30 / (640.0 * 448), 0.01);
+  const auto choice = choose_mode(modes, request);
+  ASSERT_TRUE(choice);
+  EXPECT_EQ(choice->width, 640);
+  EXPECT_EQ(choice->height, 448);
+}
+
 TEST_F(V4l2CameraTest, SaysWhatItDoesAndAtWhichRate) {
   FakeV4l2::Behaviour behaviour;
   behaviour.rate = 15;
@@ -203,6 +227,54 @@ TEST_F(V4l2CameraTest, TellsWhatItsStampsMean) {
     open_camera(camera);
     EXPECT_EQ(camera.info().stamp, kind.meaning);
   }
+}
+
+timeval seconds_from_now(std::int64_t seconds) {
+  return {static_cast<time_t>(os::monotonic_ns() / 1'000'000'000 + seconds), 0};
+}
+
+TEST_F(V4l2CameraTest, AStampThatCannotBeIsReplacedByTheTimeOfArrival) {
+  constexpr auto kMost = std::numeric_limits<std::int64_t>::max();
+  const timeval absurd[] = {{0, 0},
+                            seconds_from_now(60),
+                            seconds_from_now(-60),  // on this clock the machine may be younger
+                            {-1, 0},
+                            {kMost, 999'999},
+                            {kMost / 1'000'000'000 + 1, 0},  // just beyond what nanoseconds hold
+                            {seconds_from_now(0).tv_sec, -1},
+                            {seconds_from_now(-1).tv_sec, kMost / 2'000}};
+  for (const timeval& stamp : absurd) {
+    FakeV4l2::Behaviour behaviour;
+    behaviour.stamp = stamp;
+    const FakeV4l2 device(behaviour);
+    V4l2Camera camera(FakeV4l2::kPath);
+    open_camera(camera);
+    EXPECT_EQ(camera.info().stamp, StampSource::kEndOfFrame) << "nothing is known against it yet";
+    const std::int64_t before = os::monotonic_ns();
+    const auto frame = camera.dequeue(milliseconds(500));
+    ASSERT_TRUE(frame) << frame.status().text();
+    EXPECT_GE(frame->view.meta.sensor_ns, before) << stamp.tv_sec << " s " << stamp.tv_usec;
+    EXPECT_LE(frame->view.meta.sensor_ns, os::monotonic_ns());
+    EXPECT_EQ(frame->stamp, StampSource::kArrival);
+    EXPECT_EQ(camera.info().stamp, StampSource::kArrival);
+  }
+}
+
+TEST_F(V4l2CameraTest, ADriverWhoseStampWasWrongOnceIsNotAskedAgainUntilItIsReopened) {
+  FakeV4l2 device({});
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  const auto good = camera.dequeue(milliseconds(500));
+  ASSERT_TRUE(good);
+  EXPECT_EQ(good->stamp, StampSource::kEndOfFrame);
+  FakeV4l2::Behaviour behaviour;
+  behaviour.stamp = timeval{0, 0};
+  device.set_behaviour(behaviour);
+  EXPECT_EQ(camera.dequeue(milliseconds(500))->stamp, StampSource::kArrival);
+  device.set_behaviour({});
+  EXPECT_EQ(camera.dequeue(milliseconds(500))->stamp, StampSource::kArrival);
+  open_camera(camera);
+  EXPECT_EQ(camera.dequeue(milliseconds(500))->stamp, StampSource::kEndOfFrame);
 }
 
 TEST_F(V4l2CameraTest, LeftAloneEverythingIsAutomaticAndTheRateSteady) {

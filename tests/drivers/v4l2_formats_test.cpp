@@ -66,6 +66,15 @@ TEST(V4l2Formats, ARangeOfSizesIsMetByTheRequest) {
   EXPECT_EQ(choice.height, 480);
 }
 
+TEST(V4l2Formats, ARangeInStepsIsMetAtTheNearestStep) {
+  const V4l2Mode steps{V4L2_PIX_FMT_NV12, 32, 32, 1000, 1000, {}, 60, 16};
+  EXPECT_EQ(choose({steps}).width, 632) << "32 + 10 * 60";
+  EXPECT_EQ(choose({steps}).height, 480);
+  const CaptureRequest huge{4000, 8, 30, 65, {}};
+  EXPECT_EQ(choose({steps}, huge).width, 992) << "the last step within the range";
+  EXPECT_EQ(choose({steps}, huge).height, 32);
+}
+
 TEST(V4l2Formats, WithoutListedSizesTheDriverIsAskedForTheRequest) {
   EXPECT_EQ(choose({mode(V4L2_PIX_FMT_YUYV, 0, 0, {})}).width, 640);
 }

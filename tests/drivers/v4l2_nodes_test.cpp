@@ -65,7 +65,7 @@ TEST_F(V4l2NodesTest, KnowsTheUsbDeviceBehindANode) {
 
 TEST_F(V4l2NodesTest, ACameraIsFoundByItsSerialOrItsName) {
   const FakeV4l2 device(on_usb_);
-  for (const char* selector : {"serial=F00D", "name=fake camera", "/dev/video0"}) {
+  for (const char* selector : {"any", "serial=F00D", "name=fake camera", "/dev/video0"}) {
     const auto node = find_v4l2_node(selector);
     ASSERT_TRUE(node) << node.status().text();
     EXPECT_EQ(*node, "/dev/video0");
@@ -83,6 +83,18 @@ TEST_F(V4l2NodesTest, ACameraThatIsNotThereIsNotFound) {
     EXPECT_EQ(node.code(), StatusCode::kNotFound) << selector;
     EXPECT_EQ(V4l2Camera(selector).configure({}).code(), StatusCode::kNotFound) << selector;
   }
+}
+
+TEST_F(V4l2NodesTest, WithoutAnyUsableNodeThereIsNothingToTake) {
+  EXPECT_EQ(find_v4l2_node("any").code(), StatusCode::kNotFound) << "no node at all";
+  FakeV4l2::Behaviour behaviour;
+  behaviour.capabilities = V4L2_CAP_META_CAPTURE | V4L2_CAP_STREAMING;
+  FakeV4l2 device(behaviour);
+  V4l2Camera camera("any");
+  EXPECT_EQ(camera.configure({}).code(), StatusCode::kNotFound) << "one that captures nothing";
+  device.set_behaviour({});
+  const Status status = camera.configure({});
+  EXPECT_TRUE(status) << "looked for again: " << status.text();
 }
 
 }  // namespace

@@ -27,7 +27,9 @@ class FakeCamera final : public Camera {
     return FrameFormat{PixelFormat::kRgb24, 64, 48, 64 * 3};
   };
 
-  float frames_per_second = 500;  // what it says of itself
+  float frames_per_second = 500;              // what it says of itself
+  StampSource stamp = StampSource::kArrival;  // what it says when opened
+  std::function<StampSource(int)> stamp_of;   // of that frame; empty: as said
   std::string usb;
 
   std::atomic<int> configured{0};  // calls so far
@@ -49,9 +51,7 @@ class FakeCamera final : public Camera {
   CameraModel model() const override {
     return CameraModel::from_field_of_view(format_.width, format_.height, 65);
   }
-  CameraInfo info() const override {
-    return {"fake:", "a fake", frames_per_second, StampSource::kArrival, usb};
-  }
+  CameraInfo info() const override { return {"fake:", "a fake", frames_per_second, stamp, usb}; }
   int buffer_count() const override { return kBuffers; }
 
   Status start() override {
@@ -70,10 +70,11 @@ class FakeCamera final : public Camera {
     for (int i = 0; i < kBuffers; ++i) {
       if (lent_[i]) continue;
       lent_[i] = true;
+      const StampSource meaning = stamp_of ? stamp_of(delivered) : stamp;
       ++delivered;
       const std::int64_t now = os::monotonic_ns();
       const FrameMeta meta{sequence_++, now, now + os::unix_offset_ns()};
-      return CapturedFrame{i, {format_, meta, pixels_.data(), pixels_.size()}};
+      return CapturedFrame{i, {format_, meta, pixels_.data(), pixels_.size()}, meaning};
     }
     return Status::error(StatusCode::kTimeout, "all buffers are lent");
   }

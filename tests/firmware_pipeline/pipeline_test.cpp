@@ -155,6 +155,20 @@ TEST_F(PipelineTest, HealthTellsWhatHappens) {
   EXPECT_EQ(health().state, PipelineState::kStopped);
 }
 
+TEST_F(PipelineTest, StampsThatProveUselessAreNotCalledBetterThanTheyAre) {
+  camera_.stamp = StampSource::kEndOfFrame;
+  std::atomic<bool> useless{false};
+  camera_.stamp_of = [&](int) {
+    return useless ? StampSource::kArrival : StampSource::kEndOfFrame;
+  };
+  start();
+  ASSERT_TRUE(delivers(1));
+  EXPECT_EQ(pipeline_->source().info.stamp, StampSource::kEndOfFrame);
+  useless = true;
+  EXPECT_TRUE(eventually([&] { return pipeline_->source().info.stamp == StampSource::kArrival; }));
+  pipeline_->stop();
+}
+
 TEST_F(PipelineTest, ASlowConsumerLosesOldFramesNotTime) {
   sink_.work = milliseconds(40);
   start();

@@ -212,6 +212,31 @@ int FakeV4l2::usb_resets() const {
   return state_->usb_resets;
 }
 
+namespace {
+
+int list_range(const FakeV4l2::Range& range, v4l2_frmsizeenum& size) {
+  if (size.index != 0) return EINVAL;
+  size.type = V4L2_FRMSIZE_TYPE_STEPWISE;
+  size.stepwise = {range.least.width,  range.most.width,  range.step,
+                   range.least.height, range.most.height, range.step};
+  return 0;
+}
+
+int list_rate(const FakeV4l2::Range& range, v4l2_frmivalenum& interval) {
+  const auto fits = [&range](std::uint32_t side, std::uint32_t least, std::uint32_t most) {
+    return side >= least && side <= most && (side - least) % range.step == 0;
+  };
+  if (!fits(interval.width, range.least.width, range.most.width) ||
+      !fits(interval.height, range.least.height, range.most.height)) {
+    return EINVAL;
+  }
+  interval.type = V4L2_FRMIVAL_TYPE_DISCRETE;
+  interval.discrete = {interval.width * interval.height, range.pixels_per_second};
+  return 0;
+}
+
+}  // namespace
+
 // What the driver offers and how it is set.
 int FakeV4l2::State::handle_mode(unsigned request, void* argument) {
   switch (request) {
@@ -232,6 +257,7 @@ int FakeV4l2::State::handle_mode(unsigned request, void* argument) {
     }
     case VIDIOC_ENUM_FRAMESIZES: {
       auto& size = *static_cast<v4l2_frmsizeenum*>(argument);
+      if (behaviour.range) return list_range(*behaviour.range, size);
       if (size.index >= behaviour.sizes.size()) return EINVAL;
       size.type = V4L2_FRMSIZE_TYPE_DISCRETE;
       size.discrete = {behaviour.sizes[size.index].width, behaviour.sizes[size.index].height};
@@ -240,6 +266,7 @@ int FakeV4l2::State::handle_mode(unsigned request, void* argument) {
     case VIDIOC_ENUM_FRAMEINTERVALS: {
       auto& interval = *static_cast<v4l2_frmivalenum*>(argument);
       if (interval.index != 0) return EINVAL;
+      if (behaviour.range) return list_rate(*behaviour.range, interval);
       for (const Size& size : behaviour.sizes) {
         if (size.width != interval.width || size.height != interval.height) continue;
         interval.type = V4L2_FRMIVAL_TYPE_DISCRETE;
@@ -360,7 +387,7 @@ int FakeV4l2::State::dequeue(v4l2_buffer& buffer, v4l2_plane* planes) {
   buffer.sequence = sequence++;
   timespec now{};
   clock_gettime(CLOCK_MONOTONIC, &now);
-  buffer.timestamp = {now.tv_sec, now.tv_nsec / 1000};
+  buffer.timestamp = behaviour.stamp.value_or(timeval{now.tv_sec, now.tv_nsec / 1000});
   return 0;
 }
 

@@ -7,6 +7,7 @@
 #include <linux/videodev2.h>
 #include <memory>
 #include <optional>
+#include <sys/time.h>
 #include <vector>
 
 namespace lcdm::test {
@@ -33,12 +34,22 @@ class FakeV4l2 {
     std::uint32_t height = 0;
     std::uint32_t frames_per_second = 0;
   };
+  // A range of sizes, whose rate is what of that many pixels a second comes out. Sizes off the grid
+  // have none.
+  struct Range {
+    Size least;
+    Size most;
+    std::uint32_t step = 1;
+    std::uint32_t pixels_per_second = 0;
+  };
   struct Behaviour {
     std::uint32_t fourcc = V4L2_PIX_FMT_YUYV;
-    std::vector<Size> sizes;   // empty: the driver lists none
-    std::uint32_t planes = 1;  // of memory, that a multi-planar driver uses
-    std::uint32_t rate = 25;   // that it makes of every rate asked for
+    std::vector<Size> sizes;     // empty: the driver lists none
+    std::optional<Range> range;  // in place of `sizes`
+    std::uint32_t planes = 1;    // of memory, that a multi-planar driver uses
+    std::uint32_t rate = 25;     // that it makes of every rate asked for
     std::uint32_t stamp_flags = V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC | V4L2_BUF_FLAG_TSTAMP_SRC_EOF;
+    std::optional<timeval> stamp;         // of every frame; empty: the moment it is delivered
     std::vector<std::uint32_t> controls;  // that the camera has
     bool on_usb = false;  // as /dev/bus/usb/001/004, serial number F00D, USB 3.2 camera at 480 Mb/s
     std::uint32_t width = 64;
