@@ -28,6 +28,7 @@ std::vector<std::string> node_paths() {
   }
   std::sort(paths.begin(), paths.end());
   std::vector<std::string> sorted;
+  sorted.reserve(paths.size());
   for (auto& [number, path] : paths) sorted.push_back(std::move(path));
   return sorted;
 }

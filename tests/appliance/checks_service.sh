@@ -105,11 +105,11 @@ boot_to_depth() {
     sed -n 's/^\[ *\([0-9]*\.[0-9]\).* streaming$/\1 s/p' | head -1 | grep .
 }
 
-# The plug is pulled after 8 s of recording; after the next boot all but the last second is there. One
-# more is for the start.
+# The plug is pulled after 9 s of recording; after the next boot all but the last second is there. Two
+# more are for the start on a busy machine.
 power_cut_keeps_recording() {
   local file begin span_ns
-  on_guest 'curl -sf -X POST localhost:8080/record/start && sleep 8' >&2 || return
+  on_guest 'curl -sf -X POST localhost:8080/record/start && sleep 9' >&2 || return
   file=$(status .recording.file) || return
   kill_guest
   start_guest
