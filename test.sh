@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # Installs what is missing, builds everything and runs the tests.
 #
-#   ./test.sh          every test, the package, the booted guest, the sanitizer subset, the format
+#   ./test.sh          every test, the package, the booted guest and its soak, the sanitizer subset, the
+#                      format
 #   ./test.sh --all    the same, then the long ones: everything under the sanitizers, clang-tidy,
 #                      g++-11, the kernels for Arm under QEMU (its libraries are 1 GB), everything of
-#                      the guest and its soak
+#                      the guest and a longer soak
 #
 # Prints how long each stage took. Stops at the first stage that fails.
 set -euo pipefail
@@ -15,7 +16,7 @@ case ${1:-} in
   '') ;;
   --all) all=true ;;
   -h | --help)
-    sed -n '2,9s/^# \{0,1\}//p' "$0"
+    sed -n '2,10s/^# \{0,1\}//p' "$0"
     exit 0
     ;;
   *)
@@ -104,6 +105,7 @@ stage 'tests' run_tests trainer
 stage 'package' make_package
 stage 'package test' tests/appliance/package_test.sh "$package"
 stage 'booted guest' tests/appliance/run.sh --package "$package"
+stage 'booted guest, soak' tests/appliance/soak.sh 2 --package "$package"
 stage 'sanitizer subset, build' build_subset asan
 stage 'sanitizer subset, tests' run_subset asan
 if $all; then
@@ -117,5 +119,5 @@ if $all; then
   stage 'arm64 build' build_arm64
   stage 'arm64 tests under QEMU' run_arm64
   stage 'booted guest, everything' tests/appliance/run.sh --all --package "$package"
-  stage 'booted guest, soak' tests/appliance/soak.sh 10 --package "$package"
+  stage 'booted guest, long soak' tests/appliance/soak.sh 10 --package "$package"
 fi
