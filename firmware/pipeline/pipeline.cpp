@@ -42,14 +42,14 @@ std::size_t pixels_of(const CameraModel& camera) {
 }  // namespace
 
 Pipeline::Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* decoder,
-                   std::vector<DepthSink*> sinks, PipelineOptions options,
+                   std::vector<DepthSink*> sinks, const PipelineOptions& options,
                    EngineFactory make_small_engine)
     : camera_(camera),
       make_engine_(std::move(make_engine)),
       make_small_engine_(std::move(make_small_engine)),
       decoder_(decoder),
       sinks_(std::move(sinks)),
-      options_(std::move(options)),
+      options_(options),
       has_small_engine_(make_small_engine_ != nullptr),
       ladder_(options_.recovery, os::monotonic_ns()) {}
 

@@ -71,7 +71,7 @@ class Pipeline {
   // must outlive the pipeline. `make_small_engine` makes the one for less effort; where there is
   // none, or it gives null, the only engine goes on with it.
   Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* decoder,
-           std::vector<DepthSink*> sinks, PipelineOptions options,
+           std::vector<DepthSink*> sinks, const PipelineOptions& options,
            EngineFactory make_small_engine = nullptr);
   ~Pipeline() { stop(); }
   Pipeline(const Pipeline&) = delete;

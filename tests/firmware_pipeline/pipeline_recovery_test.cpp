@@ -1,0 +1,309 @@
+// The pipeline against a camera that misbehaves in every way a camera can, and its way back.
+#include <cerrno>
+#include <chrono>
+#include <functional>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <string>
+
+#include "tests/firmware_pipeline/pipeline_fixture.h"
+
+namespace lcdm {
+namespace {
+
+using testing::HasSubstr;
+
+Status timeout() { return Status::error(StatusCode::kTimeout, "fake: nothing came"); }
+
+TEST_F(PipelineTest, AShortSilenceIsOnlyCounted) {
+  camera_.on_dequeue = [](int call) { return call == 5 ? timeout() : Status::ok(); };
+  start();
+  ASSERT_TRUE(delivers(8));
+  EXPECT_EQ(health().timeouts, 1U);
+  EXPECT_EQ(health().reopened, 0U);
+  EXPECT_EQ(health().state, PipelineState::kStreaming);
+}
+
+TEST_F(PipelineTest, ALongerSilenceIsDeclaredAndEndsByItself) {
+  std::atomic<bool> silent{false};
+  camera_.on_dequeue = [&](int) { return silent ? timeout() : Status::ok(); };
+  start();
+  ASSERT_TRUE(delivers(3));
+  silent = true;
+  ASSERT_TRUE(reaches(PipelineState::kNoSignal));
+  EXPECT_THAT(pipeline_->fault(), HasSubstr("nothing came"));
+  EXPECT_GT(health().frame_age_ns, 100'000'000) << "the age of the last frame is told";
+  silent = false;
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_EQ(pipeline_->fault(), "");
+  EXPECT_EQ(health().reopened, 0U);
+  pipeline_->stop();
+}
+
+TEST_F(PipelineTest, ASilenceThatLastsRestartsTheStream) {
+  camera_.on_dequeue = [this](int) { return camera_.started == 1 ? timeout() : Status::ok(); };
+  start();
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_EQ(camera_.configured, 1);
+  EXPECT_EQ(steps_on(RecoveryRung::kRestartStream), 1U);
+  EXPECT_EQ(health().reopened, 0U);
+}
+
+TEST_F(PipelineTest, ASilenceThatOutlastsTheRestartReopensTheCamera) {
+  camera_.on_dequeue = [this](int) { return camera_.configured == 1 ? timeout() : Status::ok(); };
+  start();
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_EQ(camera_.configured, 2);
+  EXPECT_EQ(steps_on(RecoveryRung::kRestartStream), 1U);
+  EXPECT_EQ(steps_on(RecoveryRung::kReopen), 1U);
+  EXPECT_EQ(health().reopened, 1U);
+}
+
+TEST_F(PipelineTest, ASlowCameraIsNotASilentOne) {
+  camera_.frames_per_second = 2;  // three periods are longer than this test's patience
+  std::atomic<std::int64_t> next_ns{0};
+  camera_.on_dequeue = [&](int) {
+    const std::int64_t now = os::monotonic_ns();
+    if (now < next_ns) return timeout();
+    next_ns = now + 500'000'000;
+    return Status::ok();
+  };
+  start();
+  ASSERT_TRUE(delivers(4));
+  EXPECT_EQ(steps_on(RecoveryRung::kRestartStream), 0U);
+}
+
+TEST_F(PipelineTest, AnErrorOfTheDriverRestartsTheStream) {
+  camera_.on_dequeue = [](int call) {
+    return call == 10 ? Status::error(StatusCode::kIoError, "fake: EIO") : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(eventually([&] { return camera_.started == 2; }));
+  ASSERT_TRUE(delivers(8));
+  EXPECT_EQ(camera_.configured, 1);
+  EXPECT_EQ(steps_on(RecoveryRung::kRestartStream), 1U);
+  EXPECT_EQ(health().sequence_gaps, 0U) << "counting anew is no gap";
+}
+
+// Devices arrive and ports are reset when the test says so.
+class FakePort final : public CameraPort {
+ public:
+  bool wait_for_arrival(milliseconds timeout) override {
+    std::this_thread::sleep_for(timeout);
+    return arrived.exchange(false);
+  }
+  Status reset(const std::string& usb) override {
+    ++resets;
+    last_usb = usb;
+    return on_reset();
+  }
+
+  std::function<Status()> on_reset = [] { return Status::ok(); };
+  std::atomic<bool> arrived{false};
+  std::atomic<int> resets{0};
+  std::string last_usb;  // read after stop
+};
+
+TEST_F(PipelineTest, ACameraThatIsAbsentAtTheStartIsWaitedFor) {
+  std::atomic<bool> away{true};
+  camera_.on_configure = [&](int) {
+    return away ? Status::error(StatusCode::kNotFound, "fake: plug it in") : Status::ok();
+  };
+  FakePort port;
+  PipelineOptions options = fast();
+  options.port = &port;
+  start(options);
+  EXPECT_EQ(health().state, PipelineState::kNoCamera);
+  EXPECT_THAT(pipeline_->fault(), HasSubstr("plug it in"));
+  EXPECT_EQ(pipeline_->source().info.uri, "fake:");
+  EXPECT_EQ(sink_.count(), 0U);
+  away = false;
+  ASSERT_TRUE(delivers(3)) << "the engine is prepared when the camera arrives";
+  EXPECT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_GE(steps_on(RecoveryRung::kWaitForDevice), 1U);
+  EXPECT_EQ(steps_on(RecoveryRung::kReopen), 0U);
+  EXPECT_EQ(pipeline_->source().format.width, 64);
+}
+
+TEST_F(PipelineTest, TheNewsOfADeviceCutsTheWaitShort) {
+  std::atomic<bool> away{true};
+  camera_.on_configure = [&](int) {
+    return away ? Status::error(StatusCode::kNotFound, "fake: plug it in") : Status::ok();
+  };
+  FakePort port;
+  PipelineOptions options = fast();
+  options.port = &port;
+  options.recovery.first_backoff = options.recovery.last_backoff = milliseconds(600'000);
+  start(options);
+  away = false;
+  port.arrived = true;
+  ASSERT_TRUE(delivers(3));
+}
+
+TEST_F(PipelineTest, WhatOnlyAPersonCanCureIsAnErrorOfStartAlsoWithAPort) {
+  camera_.on_configure = [](int) { return Status::system(EACCES, "fake: join the group video"); };
+  FakePort port;
+  PipelineOptions options = fast();
+  options.port = &port;
+  make(options);
+  EXPECT_EQ(pipeline_->start().code(), StatusCode::kIoError);
+  EXPECT_EQ(health().state, PipelineState::kStopped);
+}
+
+// Fails at every dequeue until the test clears it.
+class BrokenCameraTest : public PipelineTest {
+ protected:
+  void SetUp() override {
+    camera_.usb = "/dev/bus/usb/001/004";
+    camera_.on_dequeue = [this](int) {
+      return broken ? Status::error(StatusCode::kIoError, "fake: EIO") : Status::ok();
+    };
+    options_ = fast();
+    options_.recovery.last_backoff = milliseconds(20);
+    options_.port = &port_;
+  }
+
+  std::atomic<bool> broken{true};
+  FakePort port_;
+  PipelineOptions options_;
+};
+
+TEST_F(BrokenCameraTest, APortResetComesAfterReopeningAndCures) {
+  port_.on_reset = [this] {
+    broken = false;
+    return Status::ok();
+  };
+  start(options_);
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  pipeline_->stop();
+  EXPECT_EQ(port_.last_usb, "/dev/bus/usb/001/004");
+  EXPECT_EQ(steps_on(RecoveryRung::kRestartStream), 1U);
+  EXPECT_EQ(steps_on(RecoveryRung::kReopen), 3U);
+  EXPECT_EQ(steps_on(RecoveryRung::kResetPort), 1U);
+  EXPECT_EQ(health().resets_skipped, 0U);
+}
+
+TEST_F(BrokenCameraTest, APortThatMayNotBeResetIsPassedOver) {
+  port_.on_reset = [] { return Status::system(EACCES, "fake: not allowed"); };
+  start(options_);
+  ASSERT_TRUE(eventually([&] { return health().resets_skipped >= 2; }));
+  EXPECT_EQ(health().state, PipelineState::kNoSignal);
+  broken = false;
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+}
+
+TEST_F(BrokenCameraTest, WhatNothingCuresIsHandedToTheOwner) {
+  options_.recovery.give_up_after = milliseconds(0);
+  start(options_);
+  ASSERT_TRUE(reaches(PipelineState::kFault));
+  EXPECT_THAT(pipeline_->fault(), HasSubstr("EIO"));
+  EXPECT_EQ(steps_on(RecoveryRung::kRestartProcess), 1U);
+  EXPECT_FALSE(eventually_quick([&] { return health().state != PipelineState::kFault; }));
+  pipeline_->stop();
+  EXPECT_FALSE(camera_.running);
+}
+
+TEST_F(BrokenCameraTest, ErrorsThatRepeatClimbToThePortWhileDepthStillComes) {
+  camera_.on_dequeue = [](int call) {
+    return call % 40 == 39 ? Status::error(StatusCode::kIoError, "fake: EIO") : Status::ok();
+  };
+  options_.recovery.steady_after = options_.recovery.give_up_after = milliseconds(600'000);
+  start(options_);
+  ASSERT_TRUE(eventually([&] { return steps_on(RecoveryRung::kResetPort) >= 1; }));
+  EXPECT_EQ(steps_on(RecoveryRung::kRestartProcess), 0U);
+  EXPECT_TRUE(delivers(5));
+}
+
+class PipelineFault : public PipelineTest, public testing::WithParamInterface<StatusCode> {};
+
+TEST_P(PipelineFault, AFailingCameraIsClosedAndOpenedAgain) {
+  camera_.on_dequeue = [this](int call) {
+    if (call == 10) return Status::error(GetParam(), "fake: unplugged");
+    return Status::ok();
+  };
+  start();
+  ASSERT_TRUE(eventually([&] { return camera_.configured == 2; }));
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  ASSERT_TRUE(delivers(8));
+  EXPECT_EQ(health().reopened, 1U);
+  EXPECT_EQ(health().sequence_gaps, 0U) << "counting anew is no gap";
+  EXPECT_EQ(pipeline_->fault(), "");
+}
+
+INSTANTIATE_TEST_SUITE_P(EveryCode, PipelineFault,
+                         testing::Values(StatusCode::kDeviceGone, StatusCode::kUnavailable));
+
+TEST_F(PipelineTest, TheCameraIsClosedOnlyWhenNobodyReadsItsFrames) {
+  sink_.work = milliseconds(30);
+  std::atomic<int> closed_under_a_reader{0};
+  camera_.on_stop = [&] { closed_under_a_reader += sink_.busy ? 1 : 0; };
+  camera_.on_dequeue = [](int call) {
+    return call % 10 == 9 ? Status::error(StatusCode::kDeviceGone, "fake: unplugged")
+                          : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(eventually([&] { return camera_.stopped >= 2; }));
+  pipeline_->stop();
+  EXPECT_EQ(closed_under_a_reader, 0);
+}
+
+TEST_F(PipelineTest, ACameraThatStaysAwayIsTriedForEver) {
+  std::atomic<bool> away{false};
+  camera_.on_dequeue = [&](int) {
+    return away ? Status::error(StatusCode::kDeviceGone, "fake: unplugged") : Status::ok();
+  };
+  camera_.on_configure = [&](int) {
+    return away ? Status::error(StatusCode::kNotFound, "fake: plug it in") : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(delivers(3));
+  away = true;
+  ASSERT_TRUE(eventually([&] { return camera_.configured >= 6; }));
+  EXPECT_EQ(health().state, PipelineState::kNoCamera);
+  EXPECT_THAT(pipeline_->fault(), HasSubstr("plug it in"));
+  EXPECT_GT(health().frame_age_ns, 0) << "the age of the last frame is told";
+  EXPECT_FALSE(camera_.running);
+  away = false;
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_EQ(health().reopened, 1U) << "attempts that failed do not count";
+}
+
+TEST_F(PipelineTest, ACameraThatComesBackDifferentGetsANewEngine) {
+  camera_.format_of = [](int call) {
+    return call == 0 ? FrameFormat{PixelFormat::kRgb24, 64, 48, 64 * 3}
+                     : FrameFormat{PixelFormat::kYuyv, 96, 48, 96 * 2};
+  };
+  camera_.on_dequeue = [](int call) {
+    return call == 10 ? Status::error(StatusCode::kDeviceGone, "fake: unplugged") : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(eventually([&] { return sink_.last().colour.format.pixel == PixelFormat::kYuyv; }));
+  ASSERT_TRUE(delivers(8));
+  EXPECT_EQ(pipeline_->source().format.width, 96);
+  EXPECT_EQ(health().failed, 0U);
+}
+
+TEST_F(PipelineTest, BrokenFramesAreCountedAndPassedOver) {
+  camera_.on_dequeue = [](int call) {
+    return call % 3 == 0 ? Status::error(StatusCode::kCorrupt, "fake: broken") : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(delivers(8));
+  EXPECT_GE(health().corrupt, 2U);
+  EXPECT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_EQ(health().reopened, 0U);
+}
+
+TEST_F(PipelineTest, NothingButBrokenFramesIsNoSignal) {
+  camera_.on_dequeue = [](int call) {
+    return call > 10 ? Status::error(StatusCode::kCorrupt, "fake: broken") : Status::ok();
+  };
+  start();
+  ASSERT_TRUE(reaches(PipelineState::kNoSignal));
+  EXPECT_THAT(pipeline_->fault(), HasSubstr("broken"));
+  EXPECT_TRUE(eventually([&] { return steps_on(RecoveryRung::kReopen) >= 1; }))
+      << "a camera that sends nothing else is restarted, then reopened";
+}
+
+}  // namespace
+}  // namespace lcdm
