@@ -34,13 +34,14 @@ Result<Config> CommonOptions::load(std::vector<ConfigAssignment> more) const {
 }
 
 std::string find_default_model() {
+  // The better one first (model/weights/README.md).
   namespace fs = std::filesystem;
   std::error_code error;
   // The program lies in build/PRESET/bin of a checkout, or is installed.
   const fs::path program = fs::read_symlink("/proc/self/exe", error).parent_path();
   const std::array<fs::path, 2> folders = {program / "../../../model/weights", "/usr/share/lcdm"};
   for (const fs::path& folder : folders) {
-    for (const char* name : {"lcdm-xs.safetensors", "lcdm-xxs.safetensors"}) {
+    for (const char* name : {"lcdm-xxs.safetensors", "lcdm-xs.safetensors"}) {
       const fs::path file = fs::weakly_canonical(folder / name, error);
       if (fs::is_regular_file(file, error)) return file.string();
     }

@@ -196,7 +196,7 @@ async function showsTheScene(context) {
   }
   check((await page.textContent("#source")).includes("scene:"), "the source is named");
   await page.click("summary");
-  check((await page.textContent("#details")).includes("Licence"), "the details open");
+  await eventually(async () => (await page.textContent("#details")).includes("Licence"), "the details open");
   await page.click("#theme");
   check(await page.evaluate(() => document.documentElement.dataset.theme) === "light", "light theme");
   await page.click("#theme");
