@@ -52,6 +52,9 @@ class RecordingSink final : public DepthSink {
 
 class PipelineTest : public testing::Test {
  protected:
+  // Before what its threads look at in derived fixtures is gone.
+  void TearDown() override { pipeline_.reset(); }
+
   static PipelineOptions fast() {
     PipelineOptions options;
     options.no_signal_after = milliseconds(150);

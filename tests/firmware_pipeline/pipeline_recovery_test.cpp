@@ -104,20 +104,29 @@ class FakePort final : public CameraPort {
   std::string last_usb;  // read after stop
 };
 
-TEST_F(PipelineTest, ACameraThatIsAbsentAtTheStartIsWaitedFor) {
-  std::atomic<bool> away{true};
-  camera_.on_configure = [&](int) {
-    return away ? Status::error(StatusCode::kNotFound, "fake: plug it in") : Status::ok();
-  };
-  FakePort port;
-  PipelineOptions options = fast();
-  options.port = &port;
-  start(options);
+// Not plugged in until the test says so.
+class AbsentCameraTest : public PipelineTest {
+ protected:
+  void SetUp() override {
+    camera_.on_configure = [this](int) {
+      return away_ ? Status::error(StatusCode::kNotFound, "fake: plug it in") : Status::ok();
+    };
+    options_ = fast();
+    options_.port = &port_;
+  }
+
+  std::atomic<bool> away_{true};
+  FakePort port_;
+  PipelineOptions options_;
+};
+
+TEST_F(AbsentCameraTest, IsWaitedForAtTheStart) {
+  start(options_);
   EXPECT_EQ(health().state, PipelineState::kNoCamera);
   EXPECT_THAT(pipeline_->fault(), HasSubstr("plug it in"));
   EXPECT_EQ(pipeline_->source().info.uri, "fake:");
   EXPECT_EQ(sink_.count(), 0U);
-  away = false;
+  away_ = false;
   ASSERT_TRUE(delivers(3)) << "the engine is prepared when the camera arrives";
   EXPECT_TRUE(reaches(PipelineState::kStreaming));
   EXPECT_GE(steps_on(RecoveryRung::kWaitForDevice), 1U);
@@ -125,18 +134,11 @@ TEST_F(PipelineTest, ACameraThatIsAbsentAtTheStartIsWaitedFor) {
   EXPECT_EQ(pipeline_->source().format.width, 64);
 }
 
-TEST_F(PipelineTest, TheNewsOfADeviceCutsTheWaitShort) {
-  std::atomic<bool> away{true};
-  camera_.on_configure = [&](int) {
-    return away ? Status::error(StatusCode::kNotFound, "fake: plug it in") : Status::ok();
-  };
-  FakePort port;
-  PipelineOptions options = fast();
-  options.port = &port;
-  options.recovery.first_backoff = options.recovery.last_backoff = milliseconds(600'000);
-  start(options);
-  away = false;
-  port.arrived = true;
+TEST_F(AbsentCameraTest, ItsArrivalCutsTheWaitShort) {
+  options_.recovery.first_backoff = options_.recovery.last_backoff = milliseconds(600'000);
+  start(options_);
+  away_ = false;
+  port_.arrived = true;
   ASSERT_TRUE(delivers(3));
 }
 

@@ -1,0 +1,183 @@
+// Attention by heads, and the norms around it, against the formulas in double.
+#include <algorithm>
+#include <cmath>
+#include <gtest/gtest.h>
+
+#include "firmware/nn/kernels/attention.h"
+#include "firmware/nn/kernels/matrix.h"
+#include "firmware/nn/kernels/norm.h"
+#include "tests/firmware/image.h"
+
+namespace lcdm::kernels {
+namespace {
+
+double expected_attention(const Attention& a, int position, int head, int query, int c) {
+  const int head_channels = a.channels / a.heads;
+  const auto value = [&](int token, int part, int channel) {
+    const int row = position * a.tokens + token;
+    const int column = part * a.channels + head * head_channels + channel;
+    return static_cast<double>(a.qkv[row * 3 * a.channels + column]);
+  };
+  double total = 0;
+  double mixed = 0;
+  for (int key = 0; key < a.tokens; ++key) {
+    double dot = 0;
+    for (int i = 0; i < head_channels; ++i) dot += value(query, 0, i) * value(key, 1, i);
+    const double e = std::exp(dot / std::sqrt(head_channels));
+    total += e;
+    mixed += e * value(key, 2, c);
+  }
+  return mixed / total;
+}
+
+void check_attention(int tokens, int head_channels, Precision precision = Precision::kFloat32) {
+  SCOPED_TRACE(testing::Message() << tokens << " tokens, " << head_channels << " channels");
+  Random random(static_cast<unsigned>(tokens * 100 + head_channels));
+  Attention a;
+  a.positions = 2;
+  a.heads = 4;
+  a.tokens = tokens;
+  a.channels = 4 * head_channels;
+  a.precision = precision;
+  const auto values = static_cast<std::size_t>(a.positions) * static_cast<std::size_t>(tokens) *
+                      static_cast<std::size_t>(a.channels);
+  const auto qkv = random.reals(values * 3, -3, 3);
+  std::vector<float> out(values);
+  a.qkv = qkv.data();
+  a.output = out.data();
+  std::vector<float> scratch(attention_scratch(a) + 1, kUntouched);
+  attention_range(a, 0, attention_items(a), scratch.data());
+  EXPECT_EQ(scratch.back(), kUntouched) << "wrote behind its scratch";
+  for (std::size_t i = 0; i < values; ++i) {
+    const int channel = static_cast<int>(i) % a.channels;
+    const int token = static_cast<int>(i) / a.channels;
+    ASSERT_NEAR(out[i],
+                expected_attention(a, token / tokens, channel / head_channels, token % tokens,
+                                   channel % head_channels),
+                precision == Precision::kFloat32 ? 1e-5 : 0.15)
+        << i;
+  }
+}
+
+TEST(AttentionKernel, MixesValuesByTheSoftmaxOfScores) {
+  for_each_isa([] {
+    for (const int tokens : {1, 2, 5, 16, 31, 33, 40}) {
+      for (const int head_channels : {1, 5, 16, 30}) check_attention(tokens, head_channels);
+    }
+  });
+}
+
+TEST(AttentionKernel, MixesBfloat16) {
+  for_each_isa([] {
+    if (support_of(Precision::kBfloat16) == Support::kNone) return;
+    for (const int tokens : {1, 2, 5, 16, 31, 33, 40, 131}) {
+      for (const int head_channels : {2, 16, 24, 30}) {
+        check_attention(tokens, head_channels, Precision::kBfloat16);
+      }
+    }
+  });
+}
+
+TEST(AttentionKernel, NeedsRoomForKeysAndValuesOnlyWhereTheyAreMadeNarrow) {
+  for_each_isa([] {
+    Attention a = {nullptr, 1, 33, 4 * 30, 4, nullptr};
+    const std::size_t floats = attention_scratch(a);
+    a.precision = Precision::kBfloat16;
+    EXPECT_EQ(attention_scratch(a) - floats, 33U * 15 + 17U * 30);
+  });
+}
+
+TEST(AttentionKernel, SurvivesScoresThatWouldOverflow) {
+  for_each_isa([] {
+    // One token attends to itself alone, however large its score.
+    std::vector<float> qkv(12, 1e3F);
+    std::vector<float> out(4);
+    const Attention a = {qkv.data(), 1, 1, 4, 4, out.data()};
+    std::vector<float> scratch(attention_scratch(a));
+    attention_range(a, 0, attention_items(a), scratch.data());
+    for (const float v : out) EXPECT_EQ(v, 1e3F);
+  });
+}
+
+// ---- normalisation ----
+
+TEST(NormKernel, LayerNormGivesEachRowMeanZeroAndDeviationOne) {
+  for_each_isa([] {
+    for (const int channels : {1, 3, 16, 40, 65}) {
+      Random random(static_cast<unsigned>(channels));
+      const int rows = 5;
+      const auto width = static_cast<std::size_t>(channels);
+      const auto in = random.reals(rows * width, -5, 20);
+      const auto weight = random.reals(width);
+      const auto bias = random.reals(width);
+      std::vector<float> out(in.size());
+      layer_norm_rows({in.data(), channels, weight.data(), bias.data(), 1e-5F, out.data()}, 0,
+                      rows);
+      for (std::size_t row = 0; row < rows; ++row) {
+        double mean = 0;
+        double variance = 0;
+        for (std::size_t c = 0; c < width; ++c) {
+          mean += static_cast<double>(in[row * width + c]) / channels;
+        }
+        for (std::size_t c = 0; c < width; ++c) {
+          variance += std::pow(static_cast<double>(in[row * width + c]) - mean, 2) / channels;
+        }
+        for (std::size_t c = 0; c < width; ++c) {
+          const double x =
+              (static_cast<double>(in[row * width + c]) - mean) / std::sqrt(variance + 1e-5);
+          ASSERT_NEAR(out[row * width + c],
+                      x * static_cast<double>(weight[c]) + static_cast<double>(bias[c]), 1e-5);
+        }
+      }
+    }
+  });
+}
+
+TEST(NormKernel, GroupNormUsesTheStatisticsOfItsGroup) {
+  for_each_isa([] {
+    constexpr std::size_t kHeight = 5;
+    constexpr std::size_t kWidth = 7;
+    constexpr std::size_t kPixels = kHeight * kWidth;
+    for (const std::size_t members : {1U, 4U, 5U, 16U}) {
+      const std::size_t channels = 4 * members;
+      Random random(static_cast<unsigned>(channels));
+      const auto in = random.reals(kPixels * channels, -2, 6);
+      const auto weight = random.reals(channels);
+      const auto bias = random.reals(channels);
+      std::vector<float> sums(kHeight * 2 * channels);
+      std::vector<float> out(in.size());
+      const GroupNorm norm = {
+          in.data(),     kHeight,     kWidth, static_cast<int>(channels), 4,
+          weight.data(), bias.data(), 1e-5F,  Activation::kRelu,          sums.data(),
+          out.data()};
+      group_norm_sums(norm, 0, kHeight);
+      group_norm_apply(norm, 0, kHeight);
+      for (std::size_t group = 0; group < 4; ++group) {
+        double mean = 0;
+        double squares = 0;
+        const double count = static_cast<double>(kPixels * members);
+        const auto each = [&](auto&& f) {
+          for (std::size_t p = 0; p < kPixels; ++p) {
+            for (std::size_t c = group * members; c < (group + 1) * members; ++c) {
+              f(p * channels + c, c);
+            }
+          }
+        };
+        each([&](std::size_t i, std::size_t) { mean += static_cast<double>(in[i]) / count; });
+        each([&](std::size_t i, std::size_t) {
+          squares += std::pow(static_cast<double>(in[i]) - mean, 2) / count;
+        });
+        each([&](std::size_t i, std::size_t c) {
+          const double x = (static_cast<double>(in[i]) - mean) / std::sqrt(squares + 1e-5);
+          ASSERT_NEAR(
+              out[i],
+              std::max(0.0, x * static_cast<double>(weight[c]) + static_cast<double>(bias[c])),
+              1e-4);
+        });
+      }
+    }
+  });
+}
+
+}  // namespace
+}  // namespace lcdm::kernels
