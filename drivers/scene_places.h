@@ -12,6 +12,10 @@ void fill_park(std::uint64_t seed, double seconds, Snapshot& out);
 // A furnished room, walked around in.
 void fill_room(std::uint64_t seed, double seconds, Snapshot& out);
 
+// Things of every kind anywhere, indoors or out, seen from anywhere, not moving: for training, so
+// that a network cannot guess depth from where things usually stand in a picture.
+void fill_medley(std::uint64_t seed, Snapshot& out);
+
 // Looks from `eye`: yaw to the right, pitch downwards, roll clockwise; radians.
 void set_camera(Vec3 eye, float yaw, float pitch, float roll, Snapshot& out);
 

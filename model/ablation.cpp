@@ -27,8 +27,9 @@ struct Score {
   Metrics metrics;
 };
 
+// The network's own: rows of several tables that name the same network share its training.
 std::string folder_name(const AblationRow& row, int seed) {
-  std::string name = row.table + "-" + row.name + "-seed" + std::to_string(seed);
+  std::string name = row.name + " seed" + std::to_string(seed);
   std::replace(name.begin(), name.end(), ' ', '-');
   return name;
 }
@@ -181,7 +182,7 @@ std::vector<AblationRow> ablation_rows(const LossWeights& losses,
     add("losses", "ID4 + normals instead", weights, {kOwnSteps});
     add("losses", "ID5 all", all, {kOwnSteps});
   }
-  if (wanted("steps")) add("steps", "all", all, {0, 1, 2, 3, 5, 10});
+  if (wanted("steps")) add("steps", "ID5 all", all, {0, 1, 2, 3, 5, 10});
   if (wanted("normals")) {
     for (const double weight : kNormalWeights) {
       LossWeights weights = all;

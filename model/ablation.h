@@ -20,7 +20,7 @@ struct AblationOptions {
 // One network to train: the recipe with these losses.
 struct AblationRow {
   std::string table;  // "losses", "steps" or "normals"
-  std::string name;   // as in the paper: "ID1", "lambda5 0.1"
+  std::string name;   // of the network, as in the paper: "ID1", "lambda5 0.1"
   LossWeights losses;
   std::vector<int> steps;  // sampling steps it is measured with
 };

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <opencv2/imgproc.hpp>
+#include <utility>
 
 #include "model/depth_code.h"
 
@@ -11,9 +12,10 @@ namespace {
 constexpr int kDrawsPerSample = 8;  // of frames, until one can be read
 constexpr double kMean = 0.45;
 constexpr double kDeviation = 0.225;
+constexpr double kSteepestRoll = 10;  // degrees
 
 cv::Rect random_crop(cv::Size full, double aspect, SampleRandom& random) {
-  const double scale = random.chance(0.3) ? 1 : random.uniform(0.5, 1);
+  const double scale = random.chance(0.3) ? 1 : random.uniform(0.45, 1);
   const double width = std::min<double>(full.width, full.height * aspect) * scale;
   cv::Rect crop;
   crop.width = std::clamp(cvRound(width), 16, full.width);
@@ -25,11 +27,11 @@ cv::Rect random_crop(cv::Size full, double aspect, SampleRandom& random) {
 
 // Brightness, contrast, saturation, white balance and gamma; one picture in ten without colour.
 void jitter_colour(cv::Mat& rgb, SampleRandom& random) {
-  const double gain = random.uniform(0.75, 1.25);
-  const double contrast = random.uniform(0.75, 1.25);
-  const double saturation = random.chance(0.1) ? 0 : random.uniform(0.7, 1.3);
-  const double gamma = random.uniform(0.8, 1.25);
-  const cv::Scalar balance(random.uniform(0.9, 1.1), 1, random.uniform(0.9, 1.1));
+  const double gain = random.uniform(0.65, 1.35);
+  const double contrast = random.uniform(0.65, 1.35);
+  const double saturation = random.chance(0.1) ? 0 : random.uniform(0.5, 1.5);
+  const double gamma = random.uniform(0.7, 1.4);
+  const cv::Scalar balance(random.uniform(0.85, 1.15), 1, random.uniform(0.85, 1.15));
   cv::Mat grey;
   cv::cvtColor(rgb, grey, cv::COLOR_RGB2GRAY);
   const double mean = cv::mean(grey)[0];
@@ -40,6 +42,29 @@ void jitter_colour(cv::Mat& rgb, SampleRandom& random) {
   cv::multiply(mixed, balance, mixed, gain);
   mixed = cv::min(cv::max(mixed, 0.0), 1.0);
   cv::pow(mixed, gamma, rgb);
+}
+
+// What cheap and moving cameras do to a picture: blur, and noise of the sensor.
+void degrade(cv::Mat& rgb, SampleRandom& random) {
+  if (random.chance(0.2)) cv::GaussianBlur(rgb, rgb, {}, random.uniform(0.4, 1.2));
+  if (!random.chance(0.3)) return;
+  cv::Mat noise(rgb.size(), rgb.type());
+  cv::RNG generator(static_cast<std::uint64_t>(random.uniform(1, 0x1p52)));
+  generator.fill(noise, cv::RNG::NORMAL, 0, random.uniform(0.005, 0.04));
+  rgb = cv::min(cv::max(rgb + noise, 0.0), 1.0);
+}
+
+// The camera rolls about its optical axis: depth stays what it is. The corners that come into view
+// are mirrored colour of unknown depth.
+void roll(PackFrame& frame, SampleRandom& random) {
+  const cv::Mat turn = cv::getRotationMatrix2D({frame.camera.cx, frame.camera.cy},
+                                               random.uniform(-kSteepestRoll, kSteepestRoll), 1);
+  const cv::Size size = frame.rgb.size();
+  cv::Mat turned;
+  cv::warpAffine(frame.rgb, turned, turn, size, cv::INTER_LINEAR, cv::BORDER_REFLECT_101);
+  frame.rgb = std::exchange(turned, {});
+  cv::warpAffine(frame.depth, turned, turn, size, cv::INTER_NEAREST, cv::BORDER_CONSTANT);
+  frame.depth = turned;
 }
 
 const Pack& draw_pack(const std::vector<Pack>& packs, bool wide, SampleRandom& random) {
@@ -87,9 +112,11 @@ torch::Tensor normalised(const cv::Mat& rgb) {
 
 Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const BatchShape& shape,
                                 SampleRandom& random) {
-  const Result<PackFrame> read = pack.frames->read(index);
+  Result<PackFrame> read = pack.frames->read(index);
   if (!read) return read.status();
-  const PackFrame& frame = *read;
+  PackFrame& frame = *read;
+  const bool views = shape.views && pack.frames->has_neighbours(index);
+  if (!views && random.chance(0.4)) roll(frame, random);
   const double aspect =
       static_cast<double>(shape.width) / shape.height * random.uniform(0.88, 1.14);
   const cv::Rect crop = random_crop(frame.rgb.size(), aspect, random);
@@ -113,9 +140,10 @@ Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const Batch
   out.plain = cut_out(frame.rgb);
   out.rgb = out.plain.clone();
   jitter_colour(out.rgb, random);
+  degrade(out.rgb, random);
   cv::resize(frame.depth(crop), out.depth, size, 0, 0, cv::INTER_NEAREST);
   out.depth *= shape.canonical_focal / out.camera.fx;
-  if (shape.views && pack.frames->has_neighbours(index)) {
+  if (views) {
     const Result<cv::Mat> earlier = pack.frames->neighbour(index, -1);
     const Result<cv::Mat> later = pack.frames->neighbour(index, 1);
     if (!earlier || !later) return (earlier ? later : earlier).status();

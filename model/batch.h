@@ -50,8 +50,9 @@ struct AugmentedSample {
   cv::Mat depth;       // CV_32FC1, canonical, 0 = unknown
   CameraModel camera;  // of the crop at its new size, flipped
 };
-// Frame `index` of the pack under a random crop (50 to 100 % of the largest of about the shape's
-// aspect), flip and colour jitter. Errors as Frames::read.
+// Frame `index` of the pack under a random roll (not where views are asked for: their motion is
+// known for upright cameras only), crop (45 to 100 % of the largest of about the shape's aspect),
+// flip, colour jitter, blur and noise. Errors as Frames::read.
 Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const BatchShape& shape,
                                 SampleRandom& random);
 

@@ -139,21 +139,26 @@ Status read_entries(const std::string& file, const toml::value& root, const char
   return Status::ok();
 }
 
+Status read_rendered(const std::string& file, const toml::value& root, const char* key,
+                     RenderedUse& use) {
+  if (!root.contains(key)) return Status::ok();
+  float frames = 0;
+  Table table(file, root.at(key));
+  table.take("frames", frames);
+  table.take("wide-share", use.wide_share);
+  table.take("tall-share", use.tall_share);
+  use.frames = static_cast<std::size_t>(frames);
+  return table.finish();
+}
+
 Result<Catalogue> catalogue_of(const std::string& file, const toml::value& root) {
   Catalogue catalogue;
   LCDM_RETURN_IF_ERROR(read_entries(file, root, "train", catalogue.train));
   LCDM_RETURN_IF_ERROR(read_entries(file, root, "test", catalogue.test));
-  if (root.contains("scene")) {
-    float frames = 0;
-    Table scene(file, root.at("scene"));
-    scene.take("frames", frames);
-    scene.take("wide-share", catalogue.scene_wide_share);
-    scene.take("tall-share", catalogue.scene_tall_share);
-    LCDM_RETURN_IF_ERROR(scene.finish());
-    catalogue.scene_frames = static_cast<std::size_t>(frames);
-  }
+  LCDM_RETURN_IF_ERROR(read_rendered(file, root, "scene", catalogue.scene));
+  LCDM_RETURN_IF_ERROR(read_rendered(file, root, "medley", catalogue.medley));
   toml::value rest = root;
-  for (const char* key : {"train", "test", "scene"}) rest.as_table().erase(key);
+  for (const char* key : {"train", "test", "scene", "medley"}) rest.as_table().erase(key);
   Table top(file, rest);
   top.take("licence", catalogue.licence);
   top.take("root", catalogue.root);
@@ -278,7 +283,7 @@ void add_data_options(CLI::App& command, DataOptions& options) {
       ->capture_default_str();
   command
       .add_option("--scene-frames", options.scene_frames,
-                  "Rendered training frames, instead of the catalogue's number")
+                  "Rendered training frames of each kind, instead of the catalogue's number")
       ->check(CLI::NonNegativeNumber);
   command
       .add_option("--pack", options.packs,
@@ -286,6 +291,20 @@ void add_data_options(CLI::App& command, DataOptions& options) {
                   "may be given again")
       ->check(CLI::ExistingDirectory);
 }
+
+namespace {
+
+void add_rendered(Data& data, Rendering rendering, const RenderedUse& use) {
+  if (use.frames == 0) return;
+  ScenePackOptions options;
+  options.rendering = rendering;
+  options.train_frames = use.frames;
+  options.wide_share = use.wide_share;
+  options.tall_share = use.tall_share;
+  add(data, rendered_pack(options), *protocol_named("scene"));
+}
+
+}  // namespace
 
 Result<Data> load_training_data(const DataOptions& options) {
   const Result<Catalogue> catalogue = catalogue_for(options);
@@ -306,11 +325,14 @@ Result<Data> load_training_data(const DataOptions& options) {
   for (const CatalogueEntry& entry : catalogue->train) {
     LCDM_RETURN_IF_ERROR(take(entry, catalogue->root));
   }
-  ScenePackOptions scene;
-  scene.train_frames = options.scene_frames.value_or(catalogue->scene_frames);
-  scene.wide_share = catalogue->scene_wide_share;
-  scene.tall_share = catalogue->scene_tall_share;
-  if (scene.train_frames > 0) add(data, render_scene_pack(scene), *protocol_named("scene"));
+  RenderedUse scene = catalogue->scene;
+  RenderedUse medley = catalogue->medley;
+  if (options.scene_frames) {
+    scene.frames = *options.scene_frames;
+    if (medley.frames > 0) medley.frames = *options.scene_frames;
+  }
+  add_rendered(data, Rendering::kScene, scene);
+  add_rendered(data, Rendering::kMedley, medley);
   return data;
 }
 

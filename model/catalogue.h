@@ -24,14 +24,20 @@ struct CatalogueEntry {
   std::string ground_truth;  // KITTI: "velodyne", or the folder of the improved ground truth
 };
 
+// How much of a rendering.
+struct RenderedUse {
+  std::size_t frames = 0;
+  float wide_share = 1;
+  float tall_share = 1;
+};
+
 struct Catalogue {
   std::string licence;  // of weights trained on it
   std::string root;
   std::vector<CatalogueEntry> train;
   std::vector<CatalogueEntry> test;
-  std::size_t scene_frames = 0;
-  float scene_wide_share = 1;
-  float scene_tall_share = 1;
+  RenderedUse scene;
+  RenderedUse medley;
 };
 
 // Errors name file, line and key: kNotFound, kCorrupt, kInvalidInput.
@@ -53,7 +59,7 @@ struct Data {
   std::vector<Pack> packs;
   std::vector<Protocol> protocols;  // of each pack
 };
-// The training packs, each split into training and validation, the rendered scene last.
+// The training packs, each split into training and validation, the renderings last.
 Result<Data> load_training_data(const DataOptions& options);
 // The test sets; every frame of theirs is in `validation`, at its full size.
 Result<Data> load_test_data(const DataOptions& options);

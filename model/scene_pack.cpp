@@ -1,5 +1,8 @@
 #include "model/scene_pack.h"
 
+#include <numeric>
+
+#include "drivers/scene_places.h"
 #include "drivers/scene_render.h"
 #include "drivers/scene_textures.h"
 #include "model/batch.h"
@@ -10,19 +13,63 @@ namespace {
 constexpr std::size_t kFramesOfWorld = 4;
 constexpr double kLongestDrive = 300;  // seconds
 
-PackFrame render_frame(std::uint64_t seed, std::size_t index) {
-  SampleRandom random(seed, index, 0);
-  const bool wide = index % 2 == 0;
+// The training worlds first, then those to validate on.
+class RenderedFrames final : public Frames {
+ public:
+  explicit RenderedFrames(const ScenePackOptions& options) : options_(options) {
+    scene::textures();
+  }
+
+  std::size_t size() const override { return options_.train_frames + options_.validation_frames; }
+  std::string name(std::size_t index) const override {
+    const View view = view_of(index);
+    return std::to_string(view.seed) + "-" + std::to_string(view.number);
+  }
+  Result<PackFrame> read(std::size_t index) const override;
+  bool has_neighbours(std::size_t) const override { return false; }
+  Result<cv::Mat> neighbour(std::size_t index, int) const override {
+    return Status::error(StatusCode::kNotFound, "the rendered frame %s has no neighbours in time",
+                         name(index).c_str());
+  }
+
+ private:
+  struct View {
+    std::uint64_t seed;  // of its world
+    std::size_t number;  // in it
+  };
+  View view_of(std::size_t index) const {
+    const bool trains = index < options_.train_frames;
+    const std::size_t i = trains ? index : index - options_.train_frames;
+    const std::uint64_t first = trains ? options_.train_seed : options_.validation_seed;
+    return {first + i / kFramesOfWorld, i % kFramesOfWorld};
+  }
+
+  const ScenePackOptions options_;
+};
+
+void fill(Rendering rendering, std::uint64_t seed, std::size_t number, double seconds,
+          scene::Snapshot& out) {
+  if (rendering == Rendering::kMedley) {
+    return scene::fill_medley(seed * kFramesOfWorld + number, out);
+  }
+  scene::Scene(seed).at(seconds, out);
+}
+
+Result<PackFrame> RenderedFrames::read(std::size_t index) const {
+  const View view = view_of(index);
+  SampleRandom random(view.seed, view.number, 0);
+  const bool wide = view.number % 2 == 0;
   const int width = wide ? 640 : 384;
   const int height = wide ? 192 : 288;
   PackFrame frame;
-  frame.name = std::to_string(seed) + "-" + std::to_string(index);
+  frame.name = name(index);
   frame.camera = CameraModel::from_field_of_view(
       width, height, static_cast<float>(wide ? random.uniform(75, 95) : random.uniform(50, 85)));
   frame.rgb.create(height, width, CV_8UC3);
   frame.depth.create(height, width, CV_32F);
-  scene::render(scene::Scene(seed), random.uniform(0, kLongestDrive), frame.camera,
-                {frame.rgb.ptr<std::uint8_t>(), frame.rgb.total() * 3},
+  const auto snapshot = std::make_unique<scene::Snapshot>();
+  fill(options_.rendering, view.seed, view.number, random.uniform(0, kLongestDrive), *snapshot);
+  scene::render(*snapshot, frame.camera, {frame.rgb.ptr<std::uint8_t>(), frame.rgb.total() * 3},
                 {frame.depth.ptr<float>(), frame.depth.total()});
   frame.depth.setTo(kSkyDepth, frame.depth <= 0);
   return frame;
@@ -30,23 +77,16 @@ PackFrame render_frame(std::uint64_t seed, std::size_t index) {
 
 }  // namespace
 
-Pack render_scene_pack(const ScenePackOptions& options) {
-  scene::textures();
+Pack rendered_pack(const ScenePackOptions& options) {
   Pack pack;
-  pack.use.name = "scene";
+  pack.use.name = options.rendering == Rendering::kMedley ? "medley" : "scene";
   pack.use.wide_share = options.wide_share;
   pack.use.tall_share = options.tall_share;
-  std::vector<PackFrame> frames;
-  const auto add = [&frames](std::uint64_t first_seed, std::size_t count,
-                             std::vector<std::size_t>& part) {
-    for (std::size_t i = 0; i < count; ++i) {
-      part.push_back(frames.size());
-      frames.push_back(render_frame(first_seed + i / kFramesOfWorld, i % kFramesOfWorld));
-    }
-  };
-  add(options.train_seed, options.train_frames, pack.train);
-  add(options.validation_seed, options.validation_frames, pack.validation);
-  pack.frames = std::make_shared<MemoryFrames>(std::move(frames), false);
+  pack.train.resize(options.train_frames);
+  std::iota(pack.train.begin(), pack.train.end(), std::size_t{0});
+  pack.validation.resize(options.validation_frames);
+  std::iota(pack.validation.begin(), pack.validation.end(), options.train_frames);
+  pack.frames = std::make_shared<RenderedFrames>(options);
   return pack;
 }
 

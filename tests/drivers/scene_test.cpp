@@ -10,6 +10,7 @@
 #include <thread>
 #include <vector>
 
+#include "drivers/scene_places.h"
 #include "drivers/scene_render.h"
 #include "drivers/scene_textures.h"
 #include "firmware/base/alloc_watch.h"
@@ -302,6 +303,49 @@ TEST(SceneWorlds, NothingIsEverInTheCamerasFace) {
       EXPECT_LT(picture->snapshot.count, Snapshot::kMaxPrimitives) << "seed " << seed;
     }
   }
+}
+
+// ---- medleys ------------------------------------------------------------------------------------
+
+std::unique_ptr<Picture> medley(std::uint64_t seed) {
+  auto picture = blank(96, 72, 65);
+  fill_medley(seed, picture->snapshot);
+  render(picture->snapshot, picture->camera, picture->rgb, picture->depth);
+  return picture;
+}
+
+TEST(SceneMedleys, AreThoseOfTheirSeed) {
+  for (const std::uint64_t seed : {3U, 4U, 5U}) EXPECT_EQ(medley(seed)->rgb, medley(seed)->rgb);
+  EXPECT_NE(medley(3)->rgb, medley(4)->rgb);
+}
+
+TEST(SceneMedleys, AreIndoorsAndOutFromAnyHeightUnderAnyAngle) {
+  int indoors = 0;
+  int low = 0;
+  int high = 0;
+  int rolled = 0;
+  for (std::uint64_t seed = 0; seed < 100; ++seed) {
+    Snapshot snapshot;
+    fill_medley(seed, snapshot);
+    indoors += snapshot.indoor ? 1 : 0;
+    low += -snapshot.eye.y < 0.5F ? 1 : 0;
+    high += -snapshot.eye.y > 2 ? 1 : 0;
+    rolled += std::abs(snapshot.axes[0].y) > 0.05F ? 1 : 0;
+    EXPECT_LT(snapshot.count, Snapshot::kMaxPrimitives) << "seed " << seed;
+  }
+  for (const int count : {indoors, low, high, rolled}) EXPECT_GE(count, 10);
+  EXPECT_LE(indoors, 80);
+}
+
+TEST(SceneMedleys, HaveTheCameraInTheOpen) {
+  int blind = 0;
+  for (std::uint64_t seed = 0; seed < 100; ++seed) {
+    const auto picture = medley(seed);
+    std::vector<float> depth = picture->depth;
+    std::sort(depth.begin(), depth.end());
+    if (depth[depth.size() / 2] > 0 && depth[depth.size() / 2] < 0.25F) ++blind;
+  }
+  EXPECT_LE(blind, 5) << "crowded rooms may leave no free place";
 }
 
 // Mean absolute difference of two pictures, grey levels.

@@ -37,7 +37,7 @@ TEST(Ablation, GoesOnWhereItStopped) {
   scene.train_frames = 4;
   scene.validation_frames = 2;
   Data data;
-  data.packs = {render_scene_pack(scene)};
+  data.packs = {rendered_pack(scene)};
   data.protocols = {*protocol_named("scene")};
   Recipe recipe;
   recipe.encoder = EncoderKind::kXxs;
@@ -58,7 +58,7 @@ TEST(Ablation, GoesOnWhereItStopped) {
   EXPECT_NE(text.find("±"), std::string::npos);
 
   // Again: nothing is trained, the figures are the same.
-  const fs::path checkpoint = folder / "steps-all-seed1" / "checkpoint.safetensors";
+  const fs::path checkpoint = folder / "ID5-all-seed1" / "checkpoint.safetensors";
   const auto written = fs::last_write_time(checkpoint);
   ASSERT_TRUE(ablate(recipe, data, one_cpu(), options));
   EXPECT_EQ(fs::last_write_time(checkpoint), written);

@@ -50,7 +50,7 @@ protocol = "kitti"
 )");
   ASSERT_TRUE(catalogue) << catalogue.status().text();
   EXPECT_EQ(catalogue->licence, "free");
-  EXPECT_EQ(catalogue->scene_frames, 8U);
+  EXPECT_EQ(catalogue->scene.frames, 8U);
   ASSERT_EQ(catalogue->train.size(), 1U);
   const PackUse& use = catalogue->train[0].use;
   EXPECT_EQ(use.teacher, Teacher::kMaps);

@@ -135,6 +135,38 @@ TEST_F(SmallPack, BatchIsAFunctionOfSeedAndStep) {
   EXPECT_TRUE(torch::equal(a.rgb, loader.next()->rgb));
 }
 
+// A picture that shows its own depth: what is augmented must go on doing so.
+TEST(Augmentation, TakesDepthWhereItTakesThePicture) {
+  PackFrame frame{"slope", cv::Mat(96, 128, CV_8UC3), cv::Mat(96, 128, CV_32F),
+                  CameraModel::from_field_of_view(128, 96, 60)};
+  for (int y = 0; y < 96; ++y) {
+    for (int x = 0; x < 128; ++x) {
+      const int level = 20 + x + y;
+      frame.rgb.at<cv::Vec3b>(y, x) = cv::Vec3b::all(static_cast<std::uint8_t>(level));
+      frame.depth.at<float>(y, x) = static_cast<float>(level) / 255;
+    }
+  }
+  Pack pack;
+  pack.frames = std::make_shared<MemoryFrames>(std::vector<PackFrame>{frame}, false);
+  int with_holes = 0;
+  for (std::uint64_t seed = 0; seed < 20; ++seed) {
+    SampleRandom random(seed, 0, 0);
+    const AugmentedSample sample = *augment(pack, 0, {64, 48, 60, 1, false}, random);
+    const float zoom = 60 / sample.camera.fx;
+    for (int y = 0; y < 48; ++y) {
+      for (int x = 0; x < 64; ++x) {
+        const float depth = sample.depth.at<float>(y, x);
+        if (depth > 0) {
+          EXPECT_NEAR(depth / zoom, sample.plain.at<cv::Vec3f>(y, x)[0], 4.5 / 255) << seed;
+        }
+      }
+    }
+    if (cv::countNonZero(sample.depth) < 64 * 48) ++with_holes;
+  }
+  EXPECT_GE(with_holes, 1) << "no picture was rolled";
+  EXPECT_LE(with_holes, 15);
+}
+
 // Frames of which every second cannot be read.
 class DamagedFrames final : public Frames {
  public:
@@ -172,7 +204,7 @@ TEST(Batches, CountAndReplaceFramesThatCannotBeRead) {
   EXPECT_GT(batch->unreadable, 0);
   EXPECT_NE(std::string(batch->why_unreadable.text()).find(".jpg is not a picture"),
             std::string::npos);
-  EXPECT_TRUE((batch->target.depth > 0).all().item<bool>());
+  EXPECT_TRUE((batch->target.depth > 0).flatten(1).any(1).all().item<bool>());
 }
 
 TEST(Batches, FailByNameWhereNoFrameCanBeRead) {
@@ -186,7 +218,7 @@ TEST(Batches, AreSharedByProcesses) {
   ScenePackOptions options;
   options.train_frames = 4;
   options.validation_frames = 0;
-  const std::vector<Pack> packs = {render_scene_pack(options)};
+  const std::vector<Pack> packs = {rendered_pack(options)};
   BatchShape shape{96, 64, 80, 4, false};
   const Batch whole = *make_batch(packs, shape, 3, 1);
   shape.images = 2;
@@ -198,7 +230,7 @@ TEST(ScenePack, ValidatesOnUnseenWorlds) {
   ScenePackOptions options;
   options.train_frames = 6;
   options.validation_frames = 2;
-  const Pack pack = render_scene_pack(options);
+  const Pack pack = rendered_pack(options);
   ASSERT_EQ(pack.frames->size(), 8U);
   for (const std::size_t index : pack.validation) {
     EXPECT_EQ(std::count(pack.train.begin(), pack.train.end(), index), 0);
@@ -206,6 +238,20 @@ TEST(ScenePack, ValidatesOnUnseenWorlds) {
   double least = 0;
   cv::minMaxLoc(frame_of(pack).depth, &least, nullptr);
   EXPECT_GT(least, 0);  // no holes: the sky is far
+}
+
+TEST(ScenePack, RendersAFrameAnewAndAlike) {
+  for (const Rendering rendering : {Rendering::kScene, Rendering::kMedley}) {
+    ScenePackOptions options;
+    options.rendering = rendering;
+    options.train_frames = 400000;  // none of them is kept
+    const Pack pack = rendered_pack(options);
+    const PackFrame once = *pack.frames->read(123456);
+    const PackFrame again = *pack.frames->read(123456);
+    EXPECT_EQ(cv::norm(once.rgb, again.rgb, cv::NORM_INF), 0);
+    EXPECT_EQ(cv::norm(once.depth, again.depth, cv::NORM_INF), 0);
+    EXPECT_GT(cv::norm(once.rgb, pack.frames->read(123460)->rgb, cv::NORM_INF), 0);
+  }
 }
 
 TEST(InverseResize, KeepsHoles) {

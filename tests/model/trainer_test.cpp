@@ -20,7 +20,7 @@ const std::vector<Pack>& scene_packs() {
     ScenePackOptions options;
     options.train_frames = 24;
     options.validation_frames = 8;
-    return std::vector<Pack>{render_scene_pack(options)};
+    return std::vector<Pack>{rendered_pack(options)};
   }();
   return packs;
 }
@@ -270,7 +270,7 @@ TEST(Checkpoint, TruncatedFilesAreRefused) {
 TEST(Trainer, FitsAFewFrames) {
   at::set_num_threads(2);
   Recipe recipe = small_recipe();
-  recipe.steps = 120;
+  recipe.steps = 160;
   recipe.stages = {{0.25, 4, 1}};
   recipe.warm_up = 10;
   recipe.average = 0.9;
