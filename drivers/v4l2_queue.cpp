@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <fcntl.h>
 #include <optional>
 #include <sys/mman.h>
 
@@ -158,6 +159,22 @@ Status V4l2Queue::map_one(std::uint32_t index) {
   buffers_.push_back({memory, length});
   stamp_ = stamp_source(slot.buffer.flags);
   return Status::ok();
+}
+
+Result<int> V4l2Queue::export_buffer(int index) const {
+  if (index < 0 || index >= size()) {
+    return Status::error(StatusCode::kInvalidInput, "v4l2:%s: no buffer %d", device_.path().c_str(),
+                         index);
+  }
+  v4l2_exportbuffer request{};
+  request.type = device_.queue();
+  request.index = static_cast<std::uint32_t>(index);
+  request.flags = O_RDONLY | O_CLOEXEC;
+  const int fault = device_.control(VIDIOC_EXPBUF, &request);
+  if (fault == 0) return request.fd;
+  if (fault == ENODEV) return device_.failure(fault, "cannot share a buffer");
+  return Status::error(StatusCode::kUnsupported, "v4l2:%s: the driver cannot share its buffers",
+                       device_.path().c_str());
 }
 
 void V4l2Queue::unmap() {

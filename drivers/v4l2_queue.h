@@ -38,6 +38,8 @@ class V4l2Queue {
   // Reserves and maps the buffers.
   Status map();
   void unmap();
+  // A mapped buffer as a dma-buf, which the caller closes. kUnsupported: the driver cannot.
+  Result<int> export_buffer(int index) const;
 
   int size() const { return static_cast<int>(buffers_.size()); }
   // What the stamps of frames mean: kArrival from the first useless one to the next `map`.

@@ -2,7 +2,9 @@
 #include <cstdio>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
+#include <unistd.h>
 #include <vector>
 
 #include "app/commands/commands.h"
@@ -13,6 +15,7 @@
 #include "drivers/v4l2_device.h"
 #include "drivers/v4l2_formats.h"
 #include "drivers/v4l2_nodes.h"
+#include "drivers/v4l2_queue.h"
 
 namespace lcdm {
 namespace {
@@ -23,15 +26,26 @@ constexpr CaptureRequest kRequest{};
 struct Probed {
   V4l2Node node;
   std::vector<V4l2Mode> modes;  // empty where the node is not usable
+  // Whether its buffers can be had as dma-bufs; empty where another program holds them.
+  std::optional<bool> shares_buffers;
 };
+
+std::optional<bool> shares_buffers(const V4l2Device& device) {
+  V4l2Queue queue(device);
+  if (!queue.map()) return std::nullopt;
+  const Result<int> shared = queue.export_buffer(0);
+  if (shared) close(*shared);
+  return shared.is_ok();
+}
 
 std::vector<Probed> probe_v4l2() {
   std::vector<Probed> found;
   for (V4l2Node& node : list_v4l2_nodes()) {
-    Probed probed{std::move(node), {}};
+    Probed probed{std::move(node), {}, {}};
     V4l2Device device;
     if (probed.node.usable && device.open(probed.node.path)) {
       probed.modes = list_modes(device, kRequest);
+      probed.shares_buffers = shares_buffers(device);
     }
     found.push_back(std::move(probed));
   }
@@ -86,6 +100,7 @@ void print_node(const Probed& probed) {
                                                 ? ("name=" + node.card).c_str()
                                                 : ("serial=" + node.serial).c_str());
   for (const V4l2Mode& mode : probed.modes) print_mode(mode);
+  if (probed.shares_buffers == true) std::printf("    buffers can be had as dma-bufs\n");
 }
 
 nlohmann::json mode_json(const V4l2Mode& mode) {
@@ -100,17 +115,13 @@ nlohmann::json mode_json(const V4l2Mode& mode) {
 
 nlohmann::json node_json(const Probed& probed) {
   const V4l2Node& node = probed.node;
-  nlohmann::json json = {{"path", node.path},
-                         {"card", node.card},
-                         {"driver", node.driver},
-                         {"bus", node.bus},
-                         {"serial", node.serial},
-                         {"usb", node.usb},
-                         {"usb_mbps", node.usb_mbps},
-                         {"usb_version", node.usb_version},
-                         {"usable", node.usable},
-                         {"reason", node.reason},
-                         {"modes", nlohmann::json::array()}};
+  nlohmann::json json = {{"path", node.path},         {"card", node.card},
+                         {"driver", node.driver},     {"bus", node.bus},
+                         {"serial", node.serial},     {"usb", node.usb},
+                         {"usb_mbps", node.usb_mbps}, {"usb_version", node.usb_version},
+                         {"usable", node.usable},     {"reason", node.reason},
+                         {"dma_buf", nullptr},        {"modes", nlohmann::json::array()}};
+  if (probed.shares_buffers) json["dma_buf"] = *probed.shares_buffers;
   for (const V4l2Mode& mode : probed.modes) json["modes"].push_back(mode_json(mode));
   return json;
 }

@@ -4,10 +4,12 @@
 
 #include <chrono>
 #include <cstdint>
+#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <limits>
 #include <string>
 #include <sys/time.h>
+#include <unistd.h>
 
 #include "firmware/base/alloc_watch.h"
 #include "firmware/base/os.h"
@@ -56,6 +58,28 @@ TEST_F(V4l2CameraTest, StreamsThreeHundredFramesInPlaceAndInOrder) {
     EXPECT_LT(os::monotonic_ns() - frame->view.meta.sensor_ns, 1'000'000'000);
     ASSERT_TRUE(camera.requeue(frame->index));
   }
+}
+
+TEST_F(V4l2CameraTest, SharesItsBuffersWithOtherDevices) {
+  const FakeV4l2 device({});
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  const auto frame = camera.dequeue(milliseconds(500));
+  ASSERT_TRUE(frame);
+  const Result<int> shared = camera.export_buffer(frame->index);
+  ASSERT_TRUE(shared) << shared.status().text();
+  EXPECT_EQ(fcntl(*shared, F_GETFD), FD_CLOEXEC);
+  EXPECT_EQ(close(*shared), 0);
+  EXPECT_EQ(camera.export_buffer(camera.buffer_count()).code(), StatusCode::kInvalidInput);
+}
+
+TEST_F(V4l2CameraTest, SaysThatADriverCannotShare) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.shares_buffers = false;
+  const FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  EXPECT_EQ(camera.export_buffer(0).code(), StatusCode::kUnsupported);
 }
 
 TEST_F(V4l2CameraTest, AllocatesNothingWhileItStreams) {

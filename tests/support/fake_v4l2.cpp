@@ -327,6 +327,12 @@ int FakeV4l2::State::handle(unsigned request, void* argument, v4l2_plane* planes
       return ftruncate(backing, static_cast<off_t>(granted) * buffer_stride(behaviour)) == 0 ? 0
                                                                                              : EIO;
     }
+    case VIDIOC_EXPBUF: {
+      if (!behaviour.shares_buffers) return ENOTTY;
+      auto& shared = *static_cast<v4l2_exportbuffer*>(argument);
+      shared.fd = fcntl(backing, F_DUPFD_CLOEXEC, 0);
+      return shared.fd >= 0 ? 0 : EMFILE;
+    }
     case VIDIOC_QUERYBUF: {
       auto& buffer = *static_cast<v4l2_buffer*>(argument);
       const std::uint32_t offset = buffer.index * buffer_stride(behaviour);

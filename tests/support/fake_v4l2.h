@@ -58,6 +58,7 @@ class FakeV4l2 {
     std::uint32_t most_buffers = 8;
     std::uint32_t capabilities = V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_STREAMING;
     std::uint32_t first_sequence = 0;
+    bool shares_buffers = true;  // as dma-bufs; here descriptors of the memory of all of them
     // The n-th request for a frame since the device was made, from 0.
     std::function<Answer(int)> answer = [](int) { return Answer::kFrame; };
   };
