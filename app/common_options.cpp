@@ -63,6 +63,7 @@ Result<ModelFile> load_model(const Config& config) {
 EngineOptions engine_options(const Config& config) {
   EngineOptions options;
   options.precision = parse_precision(config.model.precision).value_or(options.precision);
+  options.pin_threads = config.model.pin_threads;
   options.width = config.model.width;
   options.height = config.model.height;
   options.threads = config.model.threads > 0

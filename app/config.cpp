@@ -21,7 +21,7 @@ const char* source_objection(const std::string& text) {
 }
 
 const char* precision_objection(const std::string& text) {
-  return parse_precision(text) ? nullptr : "is no precision: use fp32, bf16 or int8";
+  return parse_precision(text) ? nullptr : "is no precision: use fp32, fp16, bf16 or int8";
 }
 
 const char* addresses_objection(const std::string& text) {
@@ -253,6 +253,7 @@ std::vector<ConfigField> config_fields(Config& c) {
       {"model", "width", &c.model.width, 0, 2048},
       {"model", "height", &c.model.height, 0, 2048},
       {"model", "threads", &c.model.threads, 0, 64},
+      {"model", "pin_threads", &c.model.pin_threads},
       {"model", "precision", &c.model.precision, 0, 0, &precision_objection},
       {"http", "listen", &c.http.listen, 0, 0, &addresses_objection},
       {"http", "port", &c.http.port, 0, 65535},

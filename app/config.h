@@ -29,6 +29,7 @@ struct Config {
     int width = 0;
     int height = 0;
     int threads = 0;
+    bool pin_threads = false;
     std::string precision = "fp32";
   } model;
   struct Http {

@@ -197,7 +197,7 @@ Status run(const Options& options) {
   LCDM_RETURN_IF_ERROR(export_onnx(*file, options.width, options.height, options.onnx));
   std::signal(SIGPIPE, SIG_IGN);  // a peer that dies is an answer that does not come
   std::vector<Runner> runners;
-  for (const Precision precision : {Precision::kFloat32, Precision::kBfloat16, Precision::kInt8}) {
+  for (const Precision precision : kPrecisions) {
     LCDM_RETURN_IF_ERROR(add_engine(*file, options, precision, runners));
   }
   const std::size_t engines = runners.size();

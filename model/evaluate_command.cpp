@@ -225,10 +225,11 @@ void add_evaluate(CLI::App& app, Status& status) {
   auto* model = command->add_option("--model", options->model, "Exported model file")
                     ->check(CLI::ExistingFile);
   command
-      ->add_option("--precision", options->precisions,
-                   "The model file (--model) in the device's engine too, at fp32, bf16 or int8")
+      ->add_option(
+          "--precision", options->precisions,
+          "The model file (--model) in the device's engine too, at fp32, fp16, bf16 or int8")
       ->needs(model)
-      ->check(CLI::IsMember({"fp32", "bf16", "int8"}));
+      ->check(CLI::IsMember({"fp32", "fp16", "bf16", "int8"}));
   command->add_option("--estimates", options->estimates, "Folder of NAME.tiff or NAME.png depth")
       ->check(CLI::ExistingDirectory);
   command->add_option("--only", options->pack, "Only the set of this name");

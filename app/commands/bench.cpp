@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "app/commands/bench_kernels.h"
 #include "app/commands/bench_profile.h"
 #include "app/commands/commands.h"
 #include "app/common_options.h"
@@ -29,6 +30,7 @@ struct BenchOptions {
   std::string size;
   bool json = false;
   bool profile = false;
+  bool kernels = false;
 };
 
 struct BenchResult {
@@ -162,7 +164,13 @@ Status parse_size(const std::string& text, EngineOptions& options) {
                        text.c_str());
 }
 
+int bench_kernels() {
+  const Status status = print_kernel_bench();
+  return status ? kExitOk : report_unusable(status);
+}
+
 int bench(const BenchOptions& given) {
+  if (given.kernels) return bench_kernels();
   const Result<Config> config = given.common.load();
   if (!config) return report_unusable(config.status());
   EngineOptions options = engine_options(*config);
@@ -203,6 +211,10 @@ void add_bench_command(CLI::App& program, int& exit_code) {
   command
       ->add_flag("--profile", options->profile,
                  "Print where the time goes: layer by layer, beside the processor's limit")
+      ->excludes(json);
+  command
+      ->add_flag("--kernels", options->kernels,
+                 "Instead time each kernel with each instruction set, beside the machine's limits")
       ->excludes(json);
   options->common.add_to(*command);
   command->callback([options, &exit_code] { exit_code = bench(*options); });

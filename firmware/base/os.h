@@ -23,17 +23,23 @@ void set_thread_name(const char* name);
 // Raises the calling thread's nice value by `steps`, so that others go first. Best effort.
 void lower_thread_priority(int steps);
 
+// Keeps the calling thread on one processor: number `index` (from 0, and from the start again) of
+// those that it may run on. Best effort.
+void pin_thread(int index);
+
 // Page-aligned zeroed memory, every page touched. Owned by the caller: give it to free_pages.
 Result<std::byte*> allocate_pages(std::size_t bytes);
 void free_pages(std::byte* memory, std::size_t bytes) noexcept;
 
 // Whether this is an Arm processor with dot products of 8-bit integers (Armv8.2 DotProd).
 bool has_dot_product();
+// Whether it is one with arithmetic of half-precision vectors (Armv8.2 FP16).
+bool has_half_arithmetic();
 
 // Locks memory against swapping. Fails where RLIMIT_MEMLOCK is too small.
 Status lock_pages(std::byte* memory, std::size_t bytes);
 
-// Number of processors this process may run on, at least 1.
+// Number of processors the calling thread may run on, at least 1.
 int processor_count();
 
 // Largest resident set of this process so far, bytes.

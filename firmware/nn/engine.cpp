@@ -104,7 +104,7 @@ Engine::Engine(Network network, Program program, Preprocess preprocess,
       options_(options),
       depth_camera_(depth_camera),
       model_hash_(model.hash()),
-      pool_(options.threads) {}
+      pool_(options.threads, options.pin_threads) {}
 
 Status Engine::check_buffers(const FrameView& frame, const DepthBuffer& out) const noexcept {
   LCDM_RETURN_IF_ERROR(preprocess_.check(frame));

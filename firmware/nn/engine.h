@@ -30,7 +30,8 @@ struct EngineOptions {
   int threads = 1;            // the caller's included
   bool keep_tensors = false;  // for tests: every layer's output can be read after a run
   Precision precision = Precision::kFloat32;  // where the processor has instructions for it, else
-                                              // the next wider
+                                              // the next more exact one
+  bool pin_threads = false;                   // each but the caller's to a processor of its own
 };
 
 struct EngineStats {

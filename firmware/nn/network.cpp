@@ -355,6 +355,8 @@ const char* to_string(Precision precision) {
   switch (precision) {
     case Precision::kFloat32:
       return "fp32";
+    case Precision::kFloat16:
+      return "fp16";
     case Precision::kBfloat16:
       return "bf16";
     case Precision::kInt8:
@@ -364,7 +366,7 @@ const char* to_string(Precision precision) {
 }
 
 std::optional<Precision> parse_precision(std::string_view name) {
-  for (const Precision each : {Precision::kFloat32, Precision::kBfloat16, Precision::kInt8}) {
+  for (const Precision each : kPrecisions) {
     if (name == to_string(each)) return each;
   }
   return std::nullopt;

@@ -54,14 +54,19 @@ enum class Padding : std::uint8_t { kZero, kReflect };
 enum class Upsampling : std::uint8_t { kNone, kNearest, kBilinear };  // x2, while it is read
 
 // What products multiply: those of 1x1 convolutions (the nine that stand for a 3x3 of a doubled
-// input among them), of linear layers and of attention. They add in float (kInt8: exactly).
+// input among them), of linear layers and of attention. They add in float (kInt8: exactly). From
+// the most exact on: where the processor or a layer cannot have one, it has the next above.
 // Activations, all other 3x3 convolutions and the encoder's first block stay in float.
 enum class Precision : std::uint8_t {
   kFloat32,
+  kFloat16,  // adds some products in half precision, those sums in float
   kBfloat16,
   kInt8,  // weights with a scale for each column, activations with a range for some pixels
-          // together; attention in kBfloat16 where the processor has that too, else in float
+          // together; attention in kBfloat16 or kFloat16 where the processor has it, else float
 };
+
+inline constexpr Precision kPrecisions[] = {Precision::kFloat32, Precision::kFloat16,
+                                            Precision::kBfloat16, Precision::kInt8};
 
 const char* to_string(Precision precision);
 // The precision that to_string calls so, if there is one.

@@ -33,7 +33,7 @@ void wait_for_change(const std::atomic<T>& value, T old) {
 
 }  // namespace
 
-WorkerPool::WorkerPool(int workers) : workers_(workers) {
+WorkerPool::WorkerPool(int workers, bool pinned) : workers_(workers), pinned_(pinned) {
   LCDM_CHECK(workers >= 1);
   threads_.reserve(static_cast<std::size_t>(workers) - 1);
   for (int i = 1; i < workers; ++i) threads_.emplace_back([this, i] { work(i); });
@@ -67,6 +67,7 @@ void WorkerPool::work(int worker) noexcept {
   char name[16];
   std::snprintf(name, sizeof(name), "infer-%d", worker);
   os::set_thread_name(name);
+  if (pinned_) os::pin_thread(worker);
   alloc_watch::seal_thread();
   // Rounds begin only after the constructor, at 0; none is missed, run() waits for everyone.
   for (std::uint32_t seen = 0;; ++seen) {

@@ -14,7 +14,9 @@ namespace lcdm {
 // construction, and the workers are sealed (base/alloc_watch.h).
 class WorkerPool {
  public:
-  explicit WorkerPool(int workers);
+  // `pinned`: worker i stays on the i-th processor that this process may use; only worker 0, which
+  // is somebody else's thread, is left as it is.
+  explicit WorkerPool(int workers, bool pinned = false);
   ~WorkerPool();
   WorkerPool(const WorkerPool&) = delete;
   WorkerPool& operator=(const WorkerPool&) = delete;
@@ -35,6 +37,7 @@ class WorkerPool {
   void work(int worker) noexcept;
 
   int workers_;
+  bool pinned_;
   Entry entry_ = nullptr;  // written before round_ moves on, read after
   void* context_ = nullptr;
   std::atomic<std::uint32_t> round_{0};

@@ -23,6 +23,7 @@ namespace fs = std::filesystem;
 using test::Program;
 using testing::ContainsRegex;
 using testing::HasSubstr;
+using testing::Not;
 using testing::StartsWith;
 
 struct Outcome {
@@ -354,6 +355,16 @@ TEST_F(Cli, BenchPrintsTheKeysThatScriptsRead) {
   EXPECT_EQ(json["threads"], 2);
   EXPECT_EQ(json["width"], 96);
   EXPECT_EQ(json["height"], 64);
+}
+
+TEST_F(Cli, BenchTimesKernelsBesideTheMachinesLimits) {
+  const Outcome outcome = lcdm({"bench", "--kernels"});
+  ASSERT_EQ(outcome.status, 0) << outcome.text;
+  for (const char* text : {"1x1", "3x3", "inverted residual", "attention", "layer norm", "head",
+                           "limit of multiply-adds, GFLOP/s", "limit of copying 8 MB, GB/s"}) {
+    EXPECT_THAT(outcome.text, HasSubstr(text));
+  }
+  EXPECT_THAT(outcome.text, Not(ContainsRegex("nan|inf"))) << "every kernel was timed";
 }
 
 TEST_F(Cli, BenchRefusesASizeTheNetworkCannotHave) {

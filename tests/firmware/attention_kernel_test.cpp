@@ -67,12 +67,14 @@ TEST(AttentionKernel, MixesValuesByTheSoftmaxOfScores) {
   });
 }
 
-TEST(AttentionKernel, MixesBfloat16) {
+TEST(AttentionKernel, MixesHalves) {
   for_each_isa([] {
-    if (support_of(Precision::kBfloat16) == Support::kNone) return;
-    for (const int tokens : {1, 2, 5, 16, 31, 33, 40, 131}) {
-      for (const int head_channels : {2, 16, 24, 30}) {
-        check_attention(tokens, head_channels, Precision::kBfloat16);
+    for (const Precision precision : {Precision::kFloat16, Precision::kBfloat16}) {
+      if (support_of(precision) == Support::kNone) continue;
+      for (const int tokens : {1, 2, 5, 16, 31, 33, 40, 131}) {
+        for (const int head_channels : {2, 16, 24, 30}) {
+          check_attention(tokens, head_channels, precision);
+        }
       }
     }
   });
@@ -84,18 +86,37 @@ TEST(AttentionKernel, NeedsRoomForKeysAndValuesOnlyWhereTheyAreMadeNarrow) {
     const std::size_t floats = attention_scratch(a);
     a.precision = Precision::kBfloat16;
     EXPECT_EQ(attention_scratch(a) - floats, 33U * 15 + 17U * 30);
+    a.precision = Precision::kFloat16;
+    EXPECT_EQ(attention_scratch(a) - floats, 33U * 15 + 17U * 30 + 2)
+        << "and what they are units of";
+  });
+}
+
+TEST(AttentionKernel, ScratchGrowsWithTheTokensNotWithTheirPairs) {
+  for_each_isa([] {
+    for (const Precision precision :
+         {Precision::kFloat32, Precision::kFloat16, Precision::kBfloat16}) {
+      const auto floats = [precision](int tokens) {
+        return attention_scratch({nullptr, 4, tokens, 4 * 24, 4, nullptr, precision});
+      };
+      EXPECT_LE(floats(4 * 1280), 4 * floats(1280));
+    }
   });
 }
 
 TEST(AttentionKernel, SurvivesScoresThatWouldOverflow) {
   for_each_isa([] {
     // One token attends to itself alone, however large its score.
-    std::vector<float> qkv(12, 1e3F);
-    std::vector<float> out(4);
-    const Attention a = {qkv.data(), 1, 1, 4, 4, out.data()};
-    std::vector<float> scratch(attention_scratch(a));
-    attention_range(a, 0, attention_items(a), scratch.data());
-    for (const float v : out) EXPECT_EQ(v, 1e3F);
+    for (const Precision precision : {Precision::kFloat32, Precision::kFloat16}) {
+      if (support_of(precision) == Support::kNone) continue;
+      const int channels = 2 * 4;
+      std::vector<float> qkv(3 * channels, 3 << 18);
+      std::vector<float> out(channels);
+      const Attention a = {qkv.data(), 1, 1, channels, 4, out.data(), precision};
+      std::vector<float> scratch(attention_scratch(a));
+      attention_range(a, 0, attention_items(a), scratch.data());
+      for (const float v : out) EXPECT_EQ(v, 3 << 18) << to_string(precision);
+    }
   });
 }
 

@@ -57,8 +57,6 @@ std::unique_ptr<Engine> prepare(const ModelFile& model, const EngineOptions& opt
   return std::move(*engine);
 }
 
-constexpr Precision kPrecisions[] = {Precision::kFloat32, Precision::kBfloat16, Precision::kInt8};
-
 void expect_same_bytes(const ModelFile& model, Precision precision) {
   SCOPED_TRACE(to_string(precision));
   Bench first;

@@ -23,6 +23,8 @@ double activated(Activation activation, double x) {
   return x;
 }
 
+constexpr Precision kNarrow[] = {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8};
+
 struct Product {
   int rows;
   int depth;
@@ -33,11 +35,14 @@ struct Product {
 };
 
 // Largest difference of a sum of `depth` products of numbers within 1: 2^-9 of each bfloat16 factor
-// in the worst case, half a step of either 8-bit factor.
+// in the worst case, half a step of either 8-bit factor; 2^-11 of each half-precision factor and of
+// the sums so far of a block, which stay within 6 where signs vary.
 double tolerance_of(const Product& p) {
   switch (p.precision) {
     case Precision::kFloat32:
       return 1e-5 * p.depth;
+    case Precision::kFloat16:
+      return 1e-5 * p.depth + p.depth * 8.1 / 2048;
     case Precision::kBfloat16:
       return 1e-5 * p.depth + p.depth * 2.1 / 512;
     case Precision::kInt8:
@@ -109,7 +114,7 @@ TEST(MatrixKernel, AppliesEveryActivation) {
 TEST(MatrixKernel, MultipliesPairsAndQuadsOfNarrowNumbers) {
   for_each_isa([] {
     unsigned seed = 0;
-    for (const Precision precision : {Precision::kBfloat16, Precision::kInt8}) {
+    for (const Precision precision : kNarrow) {
       if (support_of(precision) == Support::kNone) continue;
       for (const int rows : {1, 3, 8, 13, 71, 300}) {
         for (const int depth : {4, 8, 20, 44, 64, 148}) {
@@ -124,17 +129,29 @@ TEST(MatrixKernel, MultipliesPairsAndQuadsOfNarrowNumbers) {
   });
 }
 
+// Whole numbers, from 0 in rows and of either sign in weights, whose products sum up exactly. Bytes
+// begin and end with their range. Halves add some products in half precision, up to 2048.
+struct Whole {
+  int row;
+  int weight;
+};
+Whole exact_in(Precision precision) {
+  return precision == Precision::kFloat16 ? Whole{15, 7} : Whole{255, 127};
+}
+
 TEST(MatrixKernel, NarrowNumbersThatAreExactGiveExactSums) {
   for_each_isa([] {
-    for (const Precision precision : {Precision::kBfloat16, Precision::kInt8}) {
+    for (const Precision precision : kNarrow) {
       if (support_of(precision) == Support::kNone) continue;
-      // 0 to 255 are bfloat16 and, from 0 to 255, bytes too; so are weights from -127 to 127.
       constexpr int kDepth = 256;
+      const Whole whole = exact_in(precision);
       std::vector<float> a(kDepth);
       double expected = 3;
-      const auto weight = [](int k, int) { return static_cast<float>((k * 37) % 255 - 127); };
+      const auto weight = [&](int k, int) {
+        return static_cast<float>((k * 37) % (2 * whole.weight + 1) - whole.weight);
+      };
       for (int k = 0; k < kDepth; ++k) {
-        a[static_cast<std::size_t>(k)] = static_cast<float>((k * 91) % 256);
+        a[static_cast<std::size_t>(k)] = static_cast<float>((k * 91) % (whole.row + 1));
         expected +=
             static_cast<double>(a[static_cast<std::size_t>(k)]) * static_cast<double>(weight(k, 0));
       }
@@ -157,19 +174,20 @@ struct ExactProduct {
   int depth;
   std::vector<float> a, weights, expected;
 
-  ExactProduct(Random& random, int of_depth) : depth(of_depth) {
+  ExactProduct(Random& random, int of_depth, Whole whole) : depth(of_depth) {
     for (int m = 0; m < kRows; ++m) {
       const int range = m / kRowsOfRange;
       for (int k = 0; k < depth; ++k) {
         // Each row has both ends of its range.
-        const int byte = k == 0 ? 0 : (k == 1 ? 255 : random.whole(0, 255));
-        a.push_back(std::ldexp(static_cast<float>(byte - 127 * range), 10 * range - 10));
+        const int number = k == 0 ? 0 : (k == 1 ? whole.row : random.whole(0, whole.row));
+        a.push_back(
+            std::ldexp(static_cast<float>(number - whole.row / 2 * range), 10 * range - 10));
       }
     }
     for (int k = 0; k < depth; ++k) {
       for (int n = 0; n < kColumns; ++n) {
-        const int byte = k == 2 ? 127 : random.whole(-127, 127);
-        weights.push_back(std::ldexp(static_cast<float>(byte), n % 7 - 3));
+        const int number = k == 2 ? whole.weight : random.whole(-whole.weight, whole.weight);
+        weights.push_back(std::ldexp(static_cast<float>(number), n % 7 - 3));
       }
     }
     for (int m = 0; m < kRows; ++m) {
@@ -212,12 +230,30 @@ void check_exact(const ExactProduct& p, Precision precision) {
 TEST(MatrixKernel, EachRangeOfRowsIsItsOwnHoweverFarApartTheyAre) {
   for_each_isa([] {
     Random random(8);
-    for (const Precision precision : {Precision::kBfloat16, Precision::kInt8}) {
+    for (const Precision precision : kNarrow) {
       if (support_of(precision) == Support::kNone) continue;
       // The last is the deepest that fits: one range is all that is held narrow at a time.
       for (const int depth : {20, 64, kNarrowWords / kRowsOfRange * numbers_per_word(precision)}) {
-        check_exact({random, depth}, precision);
+        check_exact({random, depth, exact_in(precision)}, precision);
       }
+    }
+  });
+}
+
+// A half ends at 65504 and begins at 6e-8: neither may show, in rows, columns or sums.
+TEST(MatrixKernel, HalvesNeitherOverflowNorVanish) {
+  for_each_isa([] {
+    if (support_of(Precision::kFloat16) == Support::kNone) return;
+    constexpr int kDepth = 64;
+    for (const float size : {1e-30F, 1e-10F, 1.0F, 1e10F, 1e30F}) {
+      const std::vector<float> a(kDepth, 3 * size);
+      std::vector<float> packed(packed_floats(kDepth, 1, Precision::kFloat16));
+      const PackedMatrix matrix = pack_matrix(
+          kDepth, 1, [size](int, int) { return -5 / size; }, {}, packed, Precision::kFloat16);
+      float out = 0;
+      multiply_rows({{a.data()}, 1, kDepth, kDepth, 1}, matrix,
+                    {&out, nullptr, 1, Activation::kNone});
+      EXPECT_NEAR(out, -15.0F * kDepth, 1) << size;
     }
   });
 }
@@ -227,7 +263,7 @@ TEST(MatrixKernel, RowsTooLongToBeNarrowStayWide) {
   static_assert(rows_fit(1024, Precision::kBfloat16) && !rows_fit(1026, Precision::kBfloat16));
   static_assert(!rows_fit(6, Precision::kInt8) && rows_fit(1'000'000, Precision::kFloat32));
   for_each_isa([] {
-    for (const Precision wanted : {Precision::kFloat32, Precision::kBfloat16, Precision::kInt8}) {
+    for (const Precision wanted : kPrecisions) {
       for (const int depth : {7, 18, 20, 1026, 2048, 2052}) {
         const Precision given = native_precision(wanted, depth);
         EXPECT_TRUE(given <= native_precision(wanted) && rows_fit(depth, given)) << depth;

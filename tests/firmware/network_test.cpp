@@ -125,6 +125,22 @@ TEST(NetworkPlan, ArenaBytesAreKnownBeforeAnythingIsAllocated) {
   EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kLcdm, 640, 192), 9584640U);
   EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kPaper, 640, 192), 24084480U);
   EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kLcdm, 640, 480), 23961600U);
+  EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kLcdm, 1024, 320), 25559040U);
+  EXPECT_EQ(bytes(EncoderKind::kXxs, PresetKind::kLcdm, 1024, 320), 23592960U);
+  EXPECT_EQ(bytes(EncoderKind::kS, PresetKind::kLcdm, 640, 192), 12779520U);
+  EXPECT_EQ(bytes(EncoderKind::kS, PresetKind::kLcdm, 640, 480), 31948800U);
+  EXPECT_EQ(bytes(EncoderKind::kS, PresetKind::kLcdm, 1024, 320), 34078720U);
+}
+
+// Attention mixes every token with every other; a tensor of all pairs would grow sixteenfold.
+TEST(NetworkPlan, FourTimesThePixelsTakeFourTimesTheMemory) {
+  for (const auto encoder : {EncoderKind::kXxs, EncoderKind::kXs, EncoderKind::kS}) {
+    const auto bytes = [&](int width, int height) {
+      const Network network = make_network(encoder, PresetKind::kLcdm, width, height);
+      return plan_network(network, false).memory.bytes;
+    };
+    EXPECT_EQ(bytes(1024, 384), 4 * bytes(512, 192));
+  }
 }
 
 // A layer that is not stored is computed, and reads, when the next stored one is.

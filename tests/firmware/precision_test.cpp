@@ -68,7 +68,8 @@ TEST_P(Precisions, StayNearFloatWithTheReleasedWeights) {
 }
 
 INSTANTIATE_TEST_SUITE_P(, Precisions,
-                         testing::Values(Guard{Precision::kBfloat16, 0.005},
+                         testing::Values(Guard{Precision::kFloat16, 0.005},
+                                         Guard{Precision::kBfloat16, 0.005},
                                          Guard{Precision::kInt8, 0.015}),
                          [](const auto& guard) { return to_string(guard.param.precision); });
 

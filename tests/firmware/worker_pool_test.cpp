@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 #include <numeric>
+#include <sched.h>
 
 #include "firmware/base/os.h"
 
@@ -42,6 +43,19 @@ TEST(WorkerPool, TheCallerIsWorkerZero) {
   EXPECT_EQ(ids[0], caller);
   EXPECT_NE(ids[1], caller);
   EXPECT_NE(ids[1], ids[2]);
+}
+
+TEST(WorkerPool, PinnedWorkersStayOnAProcessorOfTheirOwn) {
+  const int processors = os::processor_count();
+  WorkerPool pool(3, true);
+  std::vector<int> allowed(3);
+  std::vector<int> at(3);
+  pool.run([&](int worker) {
+    allowed[static_cast<std::size_t>(worker)] = os::processor_count();
+    at[static_cast<std::size_t>(worker)] = sched_getcpu();
+  });
+  EXPECT_EQ(allowed, (std::vector<int>{processors, 1, 1})) << "the caller's is not ours to move";
+  EXPECT_TRUE(processors == 1 || at[1] != at[2]);
 }
 
 TEST(SliceOf, PartsCoverEverythingOnceAtGrains) {

@@ -34,17 +34,33 @@ struct QueryTile {
   bool first_of_head;  // of this call; later ones find keys and values packed
 };
 
-// The operand's numbers of one word, from rows that are `step` apart; what is beyond `count` is 0.
-template <class Operand, class D>
-HWY_INLINE hn::Vec<D> load_word(D d, const float* from, std::ptrdiff_t step, int count) {
-  if constexpr (Operand::kPrecision == Precision::kBfloat16) {
-    return pair_words(d, hn::LoadU(d, from), count > 1 ? hn::LoadU(d, from + step) : hn::Zero(d));
-  }
-  return hn::LoadU(d, from);
-}
-
 template <class Operand>
 constexpr int kPerWord = numbers_per_word(Operand::kPrecision);
+
+// The operand's numbers of one word, from rows that are `step` apart, times `factor` where it is
+// scaled; what is beyond `count` is 0.
+template <class Operand, class D>
+HWY_INLINE hn::Vec<D> load_word(D d, const float* from, std::ptrdiff_t step, int count,
+                                float factor) {
+  auto low = hn::LoadU(d, from);
+  if constexpr (kPerWord<Operand> == 1) {
+    return low;
+  } else {
+    auto high = count > 1 ? hn::LoadU(d, from + step) : hn::Zero(d);
+    if constexpr (Operand::kScaled) {
+      low = hn::Mul(low, hn::Set(d, factor));
+      high = hn::Mul(high, hn::Set(d, factor));
+    }
+    return Operand::pair(d, low, high);
+  }
+}
+
+// What rows are divided by before they are made narrow.
+template <class Operand>
+HWY_INLINE PowerOfTwo scale_of(const float* rows, std::ptrdiff_t stride, int count, int numbers) {
+  if constexpr (!Operand::kScaled) return {};
+  return power_of_two_within(largest_magnitude(rows, stride, count, numbers));
+}
 
 // Words of `count` rows of the operand.
 template <class Operand>
@@ -60,6 +76,7 @@ struct Buffers {
   float* scores;   // [tokens, kQueries]; then words of two tokens each, from the front
   float* keys;     // [tokens, words of head_channels]; floats stay where they are, without room
   float* values;   // [words of tokens, head_channels]; alike
+  float* scales;   // what keys and values were divided by, where the operand is scaled
 
   // As attention_scratch counts.
   HWY_INLINE Buffers(const QueryTile& t, float* scratch) {
@@ -70,12 +87,14 @@ struct Buffers {
     scores = queries + channels * kQueries;
     keys = scores + tokens * kQueries;
     values = keys + tokens * static_cast<std::size_t>(words_of<Operand>(t.head_channels));
+    scales = values + channels * static_cast<std::size_t>(words_of<Operand>(t.tokens));
   }
 };
 
-// queries[c][query] = query[c] * scale; missing queries are zero.
+// queries[c][query] = query[c] * scale; missing queries are zero. Returns what they were divided
+// by.
 template <class Operand>
-HWY_INLINE void pack_queries(const QueryTile& t, float scale, const Buffers<Operand>& b) {
+HWY_INLINE float pack_queries(const QueryTile& t, float scale, const Buffers<Operand>& b) {
   const FullTag d;
   float* turned = b.mixed;  // not in use yet
   std::fill_n(turned, static_cast<std::size_t>(t.head_channels) * kQueries, 0.0F);
@@ -85,27 +104,44 @@ HWY_INLINE void pack_queries(const QueryTile& t, float scale, const Buffers<Oper
           t.queries[q * t.token_stride + c] * scale;
     }
   }
+  const PowerOfTwo by = scale_of<Operand>(turned, kQueries, t.head_channels, kQueries);
   for (int c = 0; c < t.head_channels; c += kPerWord<Operand>) {
     const float* from = turned + static_cast<std::size_t>(c) * kQueries;
     float* to = b.queries + static_cast<std::size_t>(c / kPerWord<Operand>) * kQueries;
     for (std::size_t q = 0; q < kQueries; q += kLanes) {
-      hn::StoreU(load_word<Operand>(d, from + q, kQueries, t.head_channels - c), d, to + q);
+      hn::StoreU(load_word<Operand>(d, from + q, kQueries, t.head_channels - c, by.inverse), d,
+                 to + q);
     }
   }
+  return by.value;
 }
 
 // Keys and values as words, where they are not floats.
 template <class Operand>
 HWY_INLINE void pack_keys_and_values(const QueryTile& t, const Buffers<Operand>& b) {
+  const PowerOfTwo of_keys = scale_of<Operand>(t.keys, t.token_stride, t.tokens, t.head_channels);
+  const PowerOfTwo of_values =
+      scale_of<Operand>(t.values, t.token_stride, t.tokens, t.head_channels);
+  if constexpr (Operand::kScaled) {
+    b.scales[0] = of_keys.value;
+    b.scales[1] = of_values.value;
+  }
   for (int token = 0; token < t.tokens; ++token) {
-    Operand::narrow(t.keys + token * t.token_stride, t.head_channels,
-                    b.keys + token * words_of<Operand>(t.head_channels));
+    const float* from = t.keys + token * t.token_stride;
+    float* to = b.keys + token * words_of<Operand>(t.head_channels);
+    if constexpr (Operand::kScaled) {
+      Operand::narrow(from, t.head_channels, of_keys.inverse, to);
+    } else {
+      Operand::narrow(from, t.head_channels, to);
+    }
   }
   for (int token = 0; token < t.tokens; token += kPerWord<Operand>) {
     const float* from = t.values + token * t.token_stride;
     float* to = b.values + token / kPerWord<Operand> * t.head_channels;
     for_channels(static_cast<std::size_t>(t.head_channels), [&](auto d, std::size_t c) HWY_ATTR {
-      hn::StoreU(load_word<Operand>(d, from + c, t.token_stride, t.tokens - token), d, to + c);
+      hn::StoreU(
+          load_word<Operand>(d, from + c, t.token_stride, t.tokens - token, of_values.inverse), d,
+          to + c);
     });
   }
 }
@@ -136,9 +172,10 @@ HWY_INLINE void score_rows(const Walk& keys, int key, const Buffers<Operand>& b,
   }
 }
 
-// scores[key][query] <- exp(score - largest of the query), as words; returns 1 / their sums.
+// scores[key][query] <- exp((score - largest of the query) * unit), as words; returns 1 / their
+// sums.
 template <class Operand>
-HWY_INLINE void softmax(const QueryTile& t, const FullVec (&largest)[kQueryVectors],
+HWY_INLINE void softmax(const QueryTile& t, float unit, const FullVec (&largest)[kQueryVectors],
                         const Buffers<Operand>& b, FullVec (&inverse)[kQueryVectors]) {
   constexpr bool kPairs = kPerWord<Operand> == 2;
   const FullTag d;
@@ -147,14 +184,16 @@ HWY_INLINE void softmax(const QueryTile& t, const FullVec (&largest)[kQueryVecto
     const float* score = b.scores + v * kLanes;
     float* word = b.scores + v * kLanes;
     const auto next = [&] HWY_ATTR {
-      const FullVec e = exp_approx(d, hn::Sub(hn::LoadU(d, score), largest[v]));
+      FullVec less = hn::Sub(hn::LoadU(d, score), largest[v]);
+      if constexpr (Operand::kScaled) less = hn::Mul(less, hn::Set(d, unit));
+      const FullVec e = exp_approx(d, less);
       score += kQueries;
       sum = hn::Add(sum, e);
       return e;
     };
     for (int key = 0; key < t.tokens; key += kPerWord<Operand>, word += kQueries) {
       FullVec e = next();
-      if constexpr (kPairs) e = pair_words(d, e, key + 1 < t.tokens ? next() : hn::Zero(d));
+      if constexpr (kPairs) e = Operand::pair(d, e, key + 1 < t.tokens ? next() : hn::Zero(d));
       hn::StoreU(e, d, word);
     }
     inverse[v] = hn::Div(hn::Set(d, 1.0F), sum);
@@ -186,7 +225,8 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   constexpr int kRows = tile_rows<kQueryVectors>();
   const FullTag d;
   const Buffers<Operand> b(t, scratch);
-  pack_queries(t, 1.0F / std::sqrt(static_cast<float>(t.head_channels)), b);
+  float unit = pack_queries(t, 1.0F / std::sqrt(static_cast<float>(t.head_channels)), b);
+  float value_unit = 1;
   const int channel_words = words_of<Operand>(t.head_channels);
   Walk keys = {t.keys, t.token_stride, 1, channel_words};
   Walk values = {t.values, 1, t.token_stride, words_of<Operand>(t.tokens)};
@@ -194,6 +234,10 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
     if (t.first_of_head) pack_keys_and_values(t, b);
     keys = {b.keys, channel_words, 1, channel_words};
     values = {b.values, 1, t.head_channels, words_of<Operand>(t.tokens)};
+  }
+  if constexpr (Operand::kScaled) {
+    unit *= b.scales[0];
+    value_unit = b.scales[1];
   }
 
   FullVec largest[kQueryVectors];
@@ -203,7 +247,10 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   for (; key < t.tokens; ++key) score_rows<Operand, 1>(keys, key, b, largest);
 
   FullVec inverse[kQueryVectors];
-  softmax(t, largest, b, inverse);
+  softmax(t, unit, largest, b, inverse);
+  if constexpr (Operand::kScaled) {
+    for (FullVec& v : inverse) v = hn::Mul(v, hn::Set(d, value_unit));
+  }
 
   int channel = 0;
   for (; channel + kRows <= t.head_channels; channel += kRows) {
@@ -247,10 +294,15 @@ void attend_range(const Attention& a, int begin, int end, float* scratch) {
                             static_cast<int>(head_channels),
                             item == begin || first == 0};
     float* out = a.output + (token + first) * channels + head * head_channels;
-    if (a.precision == Precision::kBfloat16) {
-      attend<Bfloat16Operand>(tile, out, channels, scratch);
-    } else {
-      attend<FloatOperand>(tile, out, channels, scratch);
+    switch (a.precision) {
+      case Precision::kFloat16:
+        attend<Float16Operand>(tile, out, channels, scratch);
+        break;
+      case Precision::kBfloat16:
+        attend<Bfloat16Operand>(tile, out, channels, scratch);
+        break;
+      default:
+        attend<FloatOperand>(tile, out, channels, scratch);
     }
   }
 }
@@ -280,7 +332,8 @@ std::size_t attention_scratch(const Attention& a) {
   if (a.precision == Precision::kFloat32) return tile;
   const auto per_word = static_cast<std::size_t>(numbers_per_word(a.precision));
   const auto words = [per_word](std::size_t count) { return (count + per_word - 1) / per_word; };
-  return tile + tokens * words(head_channels) + words(tokens) * head_channels;  // keys and values
+  const std::size_t scales = a.precision == Precision::kFloat16 ? 2 : 0;  // of keys and values
+  return tile + tokens * words(head_channels) + words(tokens) * head_channels + scales;
 }
 
 void attention_range(const Attention& a, int begin, int end, float* scratch) {

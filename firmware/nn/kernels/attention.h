@@ -15,7 +15,7 @@ struct Attention {
   int channels = 0;
   int heads = 0;
   float* output = nullptr;                    // [positions, tokens, channels]
-  Precision precision = Precision::kFloat32;  // or kBfloat16, where channels / heads is even
+  Precision precision = Precision::kFloat32;  // or half, where channels / heads is even
 };
 
 // The work is cut into items: one tile of queries of one head of one position each.

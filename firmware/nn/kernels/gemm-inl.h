@@ -10,6 +10,9 @@
 #include <cstddef>
 #include <cstring>
 
+#include "firmware/nn/kernels/bfloat16-inl.h"
+#include "firmware/nn/kernels/float16-inl.h"
+#include "firmware/nn/kernels/int8-inl.h"
 #include "firmware/nn/kernels/math-inl.h"
 #include "firmware/nn/kernels/matrix.h"
 #include "firmware/nn/kernels/operand-inl.h"
@@ -32,8 +35,9 @@ constexpr int tile_rows() {
 // the tile: so results do not depend on how rows are cut into tiles. b is packed, NV full vectors a
 // row, of which vectors of tag d are used. k counts words of the operand, `depth` of them.
 template <class Operand, int MR, int NV, class D>
-HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::ptrdiff_t k_stride,
-                           int depth, const float* b, hn::Vec<D> (&acc)[MR][NV]) {
+HWY_INLINE void accumulate_block(D d, const float* a, std::ptrdiff_t row_stride,
+                                 std::ptrdiff_t k_stride, int depth, const float* b,
+                                 hn::Vec<D> (&acc)[MR][NV]) {
   const float* row[MR];
   LCDM_UNROLL for (int m = 0; m < MR; ++m) row[m] = a + m * row_stride;
   for (std::ptrdiff_t k = 0; k < depth * k_stride; k += k_stride, b += NV * kLanes) {
@@ -42,6 +46,30 @@ HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::
     LCDM_UNROLL for (int m = 0; m < MR; ++m) {
       const auto x = hn::Set(d, row[m][k]);
       LCDM_UNROLL for (int v = 0; v < NV; ++v) acc[m][v] = Operand::dot(d, x, w[v], acc[m][v]);
+    }
+  }
+}
+
+// The same block by block, where the operand's own sums must stay short.
+template <class Operand, int MR, int NV, class D>
+HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::ptrdiff_t k_stride,
+                           int depth, const float* b, hn::Vec<D> (&acc)[MR][NV]) {
+  if constexpr (Operand::kBlock == 0) {
+    accumulate_block<Operand, MR, NV>(d, a, row_stride, k_stride, depth, b, acc);
+  } else {
+    for (int k = 0; k < depth; k += Operand::kBlock) {
+      const int words = depth - k < Operand::kBlock ? depth - k : Operand::kBlock;
+      hn::Vec<D> part[MR][NV];
+      LCDM_UNROLL for (int m = 0; m < MR; ++m) {
+        LCDM_UNROLL for (int v = 0; v < NV; ++v) part[m][v] = hn::Zero(d);
+      }
+      accumulate_block<Operand, MR, NV>(d, a + k * k_stride, row_stride, k_stride, words,
+                                        b + k * NV * static_cast<std::ptrdiff_t>(kLanes), part);
+      LCDM_UNROLL for (int m = 0; m < MR; ++m) {
+        LCDM_UNROLL for (int v = 0; v < NV; ++v) {
+          acc[m][v] = hn::Add(acc[m][v], Operand::widened(d, part[m][v]));
+        }
+      }
     }
   }
 }
@@ -77,7 +105,7 @@ HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns
 // Rows as words of the operand: those of a RowInput, with lengths and strides in words.
 struct Words {
   RowInput rows;
-  const RowRange* ranges = nullptr;  // kInt8: of each row
+  const RowRange* ranges = nullptr;  // of each row, where the operand is scaled
 };
 
 // Where a panel stands in its matrix.
@@ -94,25 +122,29 @@ struct Panel {
 // What the sums begin with.
 template <class Operand, class D>
 HWY_INLINE hn::Vec<D> first_sum(D d, const Panel& panel, int v) {
-  if constexpr (Operand::kPrecision == Precision::kInt8) return hn::Zero(d);
+  if constexpr (Operand::kScaled) return hn::Zero(d);
   return hn::LoadU(d, panel.matrix.bias + panel.column + v * kLanes);
 }
 
-// What they mean: (low + scale * byte) * weight summed is scale * (bytes * weight) + low * sum.
+// What they mean: (low + scale * byte) * weight summed is scale * (bytes * weight) + low * sum, and
+// halves have no low.
 template <class Operand, class D>
 HWY_INLINE hn::Vec<D> to_float(D d, hn::Vec<D> sum, const Panel& panel, int v, const Words& a,
                                int row) {
-  if constexpr (Operand::kPrecision == Precision::kInt8) {
-    const hn::RebindToSigned<D> di;
+  if constexpr (!Operand::kScaled) {
+    return sum;
+  } else {
     const std::ptrdiff_t at = panel.column + v * static_cast<int>(kLanes);
     const auto scale =
         hn::Mul(hn::Set(d, a.ranges[row].scale), hn::LoadU(d, panel.matrix.scale + at));
-    const auto rest =
-        hn::MulAdd(hn::Set(d, a.ranges[row].low), hn::LoadU(d, panel.matrix.sums + at),
-                   hn::LoadU(d, panel.matrix.bias + at));
-    return hn::MulAdd(hn::ConvertTo(d, hn::BitCast(di, sum)), scale, rest);
+    auto rest = hn::LoadU(d, panel.matrix.bias + at);
+    if constexpr (Operand::kPrecision == Precision::kInt8) {
+      const hn::RebindToSigned<D> di;
+      rest = hn::MulAdd(hn::Set(d, a.ranges[row].low), hn::LoadU(d, panel.matrix.sums + at), rest);
+      sum = hn::ConvertTo(d, hn::BitCast(di, sum));
+    }
+    return hn::MulAdd(sum, scale, rest);
   }
-  return sum;
 }
 
 // One tile of MR rows of one panel.

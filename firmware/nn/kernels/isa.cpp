@@ -39,7 +39,17 @@ bool same_but_for_case(std::string_view a, std::string_view b) {
 
 const char* isa_name() { return HWY_DYNAMIC_DISPATCH(own_name)(); }
 
+std::vector<std::string> isa_names() {
+  std::vector<std::string> names;
+  for (const auto target : hwy::SupportedAndGeneratedTargets()) {
+    names.emplace_back(hwy::TargetName(target));
+  }
+  return names;
+}
+
 Status force_isa(const std::string& name) {
+  hwy::SetSupportedTargetsForTest(0);  // those of the processor again
+  hwy::GetChosenTarget().DeInit();     // chooses anew when the next kernel is called
   std::string known;
   for (const auto target : hwy::SupportedAndGeneratedTargets()) {
     const char* each = hwy::TargetName(target);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "firmware/base/status.h"
 
@@ -10,7 +11,11 @@ namespace lcdm::kernels {
 // Highway's name of the one in use: AVX3 (which is AVX-512), AVX2, SSE4, NEON, ...
 const char* isa_name();
 
-// All kernels run with the one called so, in any case; to be called before the first of them runs.
+// Those that this processor has and the kernels are compiled for, the best first.
+std::vector<std::string> isa_names();
+
+// From now on all kernels run with the one called so, in any case; what was packed for another is
+// useless then. To be called while none of them runs.
 // kInvalidInput: this processor or this program has none of that name; the text says which there
 // are.
 Status force_isa(const std::string& name);

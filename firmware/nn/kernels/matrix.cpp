@@ -4,6 +4,7 @@
 #include <bit>
 #include <cmath>
 #include <cstdint>
+#include <vector>
 
 #include "firmware/base/os.h"
 #include "firmware/nn/kernels/words.h"
@@ -37,6 +38,8 @@ void rows_of_floats(const RowInput& a, const PackedMatrix& b, const RowOutput& o
   switch (b.precision) {
     case Precision::kFloat32:
       return multiply_blocks(a, b, o);
+    case Precision::kFloat16:
+      return multiply_narrowed<Float16Operand>(a, b, o);
     case Precision::kBfloat16:
       return multiply_narrowed<Bfloat16Operand>(a, b, o);
     case Precision::kInt8:
@@ -50,6 +53,8 @@ bool is_native(Precision precision) {
   switch (precision) {
     case Precision::kFloat32:
       return true;
+    case Precision::kFloat16:
+      return LCDM_NATIVE_FLOAT16;
     case Precision::kBfloat16:
       return LCDM_NATIVE_BFLOAT16;
     case Precision::kInt8:
@@ -81,7 +86,7 @@ bool processor_has(Precision precision) {
   return precision == Precision::kBfloat16 ? __builtin_cpu_supports("avx512bf16") != 0
                                            : __builtin_cpu_supports("avx512vnni") != 0;
 #else
-  return precision == Precision::kInt8 && os::has_dot_product();
+  return precision == Precision::kInt8 ? os::has_dot_product() : os::has_half_arithmetic();
 #endif
 }
 
@@ -99,17 +104,34 @@ Precision native_precision(Precision wanted) {
 }
 
 Precision native_precision(Precision wanted, int depth) {
-  for (const Precision precision : {Precision::kInt8, Precision::kBfloat16}) {
+  for (const Precision precision : {Precision::kInt8, Precision::kBfloat16, Precision::kFloat16}) {
     const bool fits = wanted >= precision && rows_fit(depth, precision);
     if (fits && support_of(precision) == Support::kNative) return precision;
   }
   return Precision::kFloat32;
 }
 
+namespace {
+
+// Numbers that each column has beside its weights: bias, scale, sum.
+int numbers_of_column(Precision precision) {
+  switch (precision) {
+    case Precision::kFloat32:
+    case Precision::kBfloat16:
+      return 1;
+    case Precision::kFloat16:
+      return 2;
+    case Precision::kInt8:
+      return 3;
+  }
+  return 1;
+}
+
+}  // namespace
+
 std::size_t packed_floats(int depth, int columns, Precision precision) {
-  const int words = depth / numbers_per_word(precision);
-  const int vectors = precision == Precision::kInt8 ? 3 : 1;  // bias, scale, sums
-  return static_cast<std::size_t>(words + vectors) * static_cast<std::size_t>(padded(columns));
+  const int words = depth / numbers_per_word(precision) + numbers_of_column(precision);
+  return static_cast<std::size_t>(words) * static_cast<std::size_t>(padded(columns));
 }
 
 namespace {
@@ -120,8 +142,7 @@ float word_of_bits(std::uint32_t bits) { return std::bit_cast<float>(bits); }
 
 // word(k, n) begins at number k of column n.
 template <typename Word>
-std::span<float> pack_panels(int depth, int columns, int per_word, std::span<float> out,
-                             const Word& word) {
+void pack_panels(int depth, int columns, int per_word, std::span<float> out, const Word& word) {
   const int panel = kPanelVectors * vector_lanes();
   std::size_t at = 0;
   for (int first = 0; first < columns; first += panel) {
@@ -130,26 +151,16 @@ std::span<float> pack_panels(int depth, int columns, int per_word, std::span<flo
       for (int n = first; n < first + width; ++n) out[at++] = n < columns ? word(k, n) : 0.0F;
     }
   }
-  return out.subspan(at);
 }
 
-struct ColumnScale {
-  float scale = 0;
-  float sum = 0;
-};
+float largest_of_column(int depth, int n, const Weight& weight) {
+  float largest = 0;
+  for (int k = 0; k < depth; ++k) largest = std::max(largest, std::fabs(weight(k, n)));
+  return largest;
+}
 
 int rounded(float weight, float scale) {
   return scale > 0 ? static_cast<int>(std::lround(weight / scale)) : 0;
-}
-
-// One scale, by the largest weight, and the sum of what remains of the weights.
-ColumnScale scale_column(int depth, int n, const Weight& weight) {
-  float largest = 0;
-  for (int k = 0; k < depth; ++k) largest = std::max(largest, std::fabs(weight(k, n)));
-  const float scale = largest / 127.0F;
-  int sum = 0;
-  for (int k = 0; k < depth; ++k) sum += rounded(weight(k, n), scale);
-  return {scale, scale * static_cast<float>(sum)};
 }
 
 std::uint32_t int8_quad(int k, int n, float scale, const Weight& weight) {
@@ -161,42 +172,69 @@ std::uint32_t int8_quad(int k, int n, float scale, const Weight& weight) {
   return bits;
 }
 
+// Panels of columns that have one scale each, by their largest weight, and the sums of what remains
+// of their weights.
+void pack_int8(const PackedMatrix& m, const Weight& weight, std::span<float> panels,
+               std::span<float> scale, std::span<float> sums) {
+  for (std::size_t n = 0; n < static_cast<std::size_t>(m.columns); ++n) {
+    const int column = static_cast<int>(n);
+    scale[n] = largest_of_column(m.depth, column, weight) / 127.0F;
+    int sum = 0;
+    for (int k = 0; k < m.depth; ++k) sum += rounded(weight(k, column), scale[n]);
+    sums[n] = scale[n] * static_cast<float>(sum);
+  }
+  pack_panels(m.depth, m.columns, 4, panels, [&](int k, int n) {
+    return word_of_bits(int8_quad(k, n, scale[static_cast<std::size_t>(n)], weight));
+  });
+}
+
+void pack_float16(const PackedMatrix& m, const Weight& weight, std::span<float> panels,
+                  std::span<float> scale) {
+  std::vector<float> inverse(static_cast<std::size_t>(m.columns));
+  for (std::size_t n = 0; n < inverse.size(); ++n) {
+    const PowerOfTwo power =
+        power_of_two_within(largest_of_column(m.depth, static_cast<int>(n), weight));
+    scale[n] = power.value;
+    inverse[n] = power.inverse;
+  }
+  pack_panels(m.depth, m.columns, 2, panels, [&](int k, int n) {
+    const float factor = inverse[static_cast<std::size_t>(n)];
+    return word_of_bits(float16_pair(weight(k, n) * factor, weight(k + 1, n) * factor));
+  });
+}
+
 }  // namespace
 
 PackedMatrix pack_matrix(int depth, int columns, const Weight& weight, std::span<const float> bias,
                          std::span<float> out, Precision precision) {
   LCDM_CHECK(out.size() == packed_floats(depth, columns, precision));
-  const int per_word = numbers_per_word(precision);
   LCDM_CHECK(rows_fit(depth, precision));
   const auto width = static_cast<std::size_t>(padded(columns));
-  PackedMatrix matrix = {out.data(), nullptr, depth, columns, precision};
-  std::span<float> rest;
-  if (precision == Precision::kFloat32) {
-    rest = pack_panels(depth, columns, per_word, out, weight);
-  } else if (precision == Precision::kBfloat16) {
-    rest = pack_panels(depth, columns, per_word, out, [&](int k, int n) {
-      return word_of_bits(bfloat16_pair(weight(k, n), weight(k + 1, n)));
-    });
-  } else {
-    const std::span<float> rest_of_columns = out.last(2 * width);
-    const std::span<float> scale = rest_of_columns.first(width);
-    const std::span<float> sums = rest_of_columns.last(width);
-    std::fill(rest_of_columns.begin(), rest_of_columns.end(), 0.0F);
-    for (int n = 0; n < columns; ++n) {
-      const ColumnScale column = scale_column(depth, n, weight);
-      scale[static_cast<std::size_t>(n)] = column.scale;
-      sums[static_cast<std::size_t>(n)] = column.sum;
-    }
-    rest = pack_panels(depth, columns, per_word, out, [&](int k, int n) {
-      return word_of_bits(int8_quad(k, n, scale[static_cast<std::size_t>(n)], weight));
-    });
-    matrix.scale = scale.data();
-    matrix.sums = sums.data();
+  const std::span<float> of_columns =
+      out.last(width * static_cast<std::size_t>(numbers_of_column(precision)));
+  const std::span<float> panels = out.first(out.size() - of_columns.size());
+  std::fill(of_columns.begin(), of_columns.end(), 0.0F);
+  std::copy(bias.begin(), bias.end(), of_columns.begin());
+  PackedMatrix matrix = {panels.data(), of_columns.data(), depth, columns, precision};
+  switch (precision) {
+    case Precision::kFloat32:
+      pack_panels(depth, columns, 1, panels, weight);
+      break;
+    case Precision::kFloat16:
+      matrix.scale = matrix.bias + width;
+      pack_float16(matrix, weight, panels, of_columns.subspan(width, width));
+      break;
+    case Precision::kBfloat16:
+      pack_panels(depth, columns, 2, panels, [&](int k, int n) {
+        return word_of_bits(bfloat16_pair(weight(k, n), weight(k + 1, n)));
+      });
+      break;
+    case Precision::kInt8:
+      matrix.scale = matrix.bias + width;
+      matrix.sums = matrix.scale + width;
+      pack_int8(matrix, weight, panels, of_columns.subspan(width, width), of_columns.last(width));
+      break;
   }
-  const std::span<float> packed_bias = rest.first(width);
-  std::fill(packed_bias.begin(), packed_bias.end(), 0.0F);
-  std::copy(bias.begin(), bias.end(), packed_bias.begin());
-  matrix.bias = packed_bias.data();
   return matrix;
 }
 

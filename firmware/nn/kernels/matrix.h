@@ -19,6 +19,7 @@ constexpr int numbers_per_word(Precision precision) {
   switch (precision) {
     case Precision::kFloat32:
       return 1;
+    case Precision::kFloat16:
     case Precision::kBfloat16:
       return 2;
     case Precision::kInt8:
@@ -27,9 +28,9 @@ constexpr int numbers_per_word(Precision precision) {
   return 1;
 }
 
-// Rows that are made narrow together: bytes of one range. Who shares a range must not depend on the
-// number of workers: a slice of a product begins at a multiple of it, or at an image row or a strip
-// that is multiplied by itself.
+// Rows that are made narrow together: bytes of one range, or halves of one scale. Who shares a
+// range must not depend on the number of workers: a slice of a product begins at a multiple of it,
+// or at an image row or a strip that is multiplied by itself.
 inline constexpr int kRowsOfRange = 8;
 // Words of rows that are held narrow at a time: half of a first cache of 32 KB. Rows of one range
 // must fit, so a narrow matrix has at most kNarrowWords / kRowsOfRange words of depth.
@@ -48,7 +49,7 @@ struct PackedMatrix {
   int depth = 0;                  // K
   int columns = 0;                // N
   Precision precision = Precision::kFloat32;
-  const float* scale = nullptr;  // kInt8: weight = scale * byte
+  const float* scale = nullptr;  // kInt8, kFloat16: weight = scale * narrow
   const float* sums = nullptr;   // kInt8: of each column's weights, as they were rounded
 };
 
@@ -58,7 +59,7 @@ int vector_lanes();
 // instructions has no other path for them.
 enum class Support : std::uint8_t { kNone, kSlow, kNative };
 Support support_of(Precision precision);
-// The one asked for where it is native, else the next wider.
+// The one asked for where it is native, else the next more exact one.
 Precision native_precision(Precision wanted);
 // The same for rows of `depth` numbers: they must fit it too.
 Precision native_precision(Precision wanted, int depth);

@@ -40,20 +40,27 @@ namespace lcdm::kernels {
 
 HWY_EXPORT(spin);
 
-double peak_gmacs() {
-  constexpr int kRuns = 20;
+double peak_gmacs(int runs) {
   constexpr int kRounds = 100'000;
   double best = 0;
   volatile float kept = 0;
-  for (int i = 0; i < kRuns; ++i) {
+  for (int i = 0; i < runs; ++i) {
     float sink = 0;
-    const std::int64_t begin = os::monotonic_ns();
+    const std::int64_t begin = os::thread_cpu_ns();
     const double macs = HWY_DYNAMIC_DISPATCH(spin)(kRounds, sink);
-    const auto ns = static_cast<double>(os::monotonic_ns() - begin);
+    const auto ns = static_cast<double>(os::thread_cpu_ns() - begin);
     kept = kept + sink;
     best = std::max(best, macs / ns);
   }
   return best;
+}
+
+double peak_copy(std::span<float> memory) {
+  const std::span<float> to = memory.last(memory.size() / 2);
+  const std::int64_t begin = os::thread_cpu_ns();
+  std::copy_n(memory.begin(), to.size(), to.begin());
+  const auto ns = static_cast<double>(os::thread_cpu_ns() - begin);
+  return 2 * static_cast<double>(to.size_bytes()) / ns;
 }
 
 }  // namespace lcdm::kernels

@@ -17,4 +17,33 @@ inline std::uint32_t bfloat16_pair(float first, float second) {
   return bfloat16_bits(first) | bfloat16_bits(second) << 16;
 }
 
+// IEEE half precision: rounded to nearest, ties to even; numbers within 65504 only.
+inline std::uint32_t float16_bits(float x) {
+  const auto all = std::bit_cast<std::uint32_t>(x);
+  const std::uint32_t sign = (all >> 16) & 0x8000U;
+  const std::uint32_t bits = all & 0x7FFFFFFFU;
+  if (bits >= 0x38800000U) {  // 2^-14, the least normal one
+    return sign | ((bits + 0xFFFU + ((bits >> 13) & 1U) - (112U << 23)) >> 13);
+  }
+  // Subnormal ones are whole multiples of 2^-24, as the floats from .5 on are.
+  const float moved = std::bit_cast<float>(bits) + 0.5F;
+  return sign | (std::bit_cast<std::uint32_t>(moved) - std::bit_cast<std::uint32_t>(0.5F));
+}
+
+inline std::uint32_t float16_pair(float first, float second) {
+  return float16_bits(first) | float16_bits(second) << 16;
+}
+
+struct PowerOfTwo {
+  float value = 1;
+  float inverse = 1;
+};
+
+// The largest that is not more than x; so x * inverse is from 1 to 2. Where x has none among the
+// normal floats the value is 0, and x counts as that.
+inline PowerOfTwo power_of_two_within(float x) {
+  const std::uint32_t exponent = std::bit_cast<std::uint32_t>(x) & 0x7F800000U;
+  return {std::bit_cast<float>(exponent), std::bit_cast<float>(0x7F000000U - exponent)};
+}
+
 }  // namespace lcdm::kernels

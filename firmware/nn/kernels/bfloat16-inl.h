@@ -1,0 +1,95 @@
+// Pairs of bfloat16 (AVX-512 BF16).
+#if defined(LCDM_KERNELS_BFLOAT16_INL_H) == defined(HWY_TARGET_TOGGLE)
+#ifdef LCDM_KERNELS_BFLOAT16_INL_H
+#undef LCDM_KERNELS_BFLOAT16_INL_H
+#else
+#define LCDM_KERNELS_BFLOAT16_INL_H
+#endif
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+
+#include "firmware/nn/kernels/operand-inl.h"
+#include "firmware/nn/kernels/words.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lcdm::kernels {
+namespace HWY_NAMESPACE {
+
+struct Bfloat16Operand {
+  static constexpr Precision kPrecision = Precision::kBfloat16;
+  static constexpr bool kScaled = false;
+  static constexpr int kBlock = 0;
+
+  template <class D, class V = hn::Vec<D>>
+  static HWY_INLINE V dot(D d, V x, V w, V sum) {
+#if LCDM_NATIVE_BFLOAT16
+    (void)d;
+    asm("vdpbf16ps %2, %1, %0" : "+v"(sum.raw) : "v"(w.raw), "v"(x.raw));
+    return sum;
+#else
+    const hn::RebindToUnsigned<D> du;
+    const auto upper = hn::Set(du, 0xFFFF0000U);
+    const auto xu = hn::BitCast(du, x);
+    const auto wu = hn::BitCast(du, w);
+    sum = hn::MulAdd(hn::BitCast(d, hn::And(xu, upper)), hn::BitCast(d, hn::And(wu, upper)), sum);
+    return hn::MulAdd(hn::BitCast(d, hn::ShiftLeft<16>(xu)), hn::BitCast(d, hn::ShiftLeft<16>(wu)),
+                      sum);
+#endif
+  }
+
+  // `low` becomes the lower half of each word, `high` the upper; rounded to nearest, ties away from
+  // zero. words.h and the processor's instruction round ties to even; that instruction puts numbers
+  // side by side, not one into each half, and to even by hand costs more operations than ties
+  // matter.
+  template <class D, class V = hn::Vec<D>>
+  static HWY_INLINE V pair(D d, V low, V high) {
+    const hn::RebindToUnsigned<D> du;
+    const auto half = hn::Set(du, 0x8000U);
+    const auto l = hn::ShiftRight<16>(hn::Add(hn::BitCast(du, low), half));
+    const auto h = hn::And(hn::Add(hn::BitCast(du, high), half), hn::Set(du, 0xFFFF0000U));
+    return hn::BitCast(d, hn::Or(l, h));
+  }
+
+  // `count` numbers of a row, a multiple of 2, into count / 2 words.
+  static HWY_INLINE void narrow(const float* from, int count, float* words) {
+    int i = 0;
+#if LCDM_NATIVE_BFLOAT16
+    i = narrow_vectors(FullTag(), i, from, count, words);
+    i = narrow_vectors(HWY_CAPPED(float, 8)(), i, from, count, words);
+    i = narrow_vectors(HWY_CAPPED(float, 4)(), i, from, count, words);
+#endif
+    for (; i < count; i += 2) {
+      const std::uint32_t word = bfloat16_pair(from[i], from[i + 1]);
+      std::memcpy(words + i / 2, &word, sizeof(word));
+    }
+  }
+
+  static HWY_INLINE void narrow_rows(const float* from, std::ptrdiff_t stride, int rows, int count,
+                                     float* words, RowRange*) {
+    for (int m = 0; m < rows; ++m) narrow(from + m * stride, count, words + m * (count / 2));
+  }
+
+ private:
+#if LCDM_NATIVE_BFLOAT16
+  // From number i on, as many as fill whole vectors of words; returns the first that is left.
+  template <class D>
+  static HWY_INLINE int narrow_vectors(D d, int i, const float* from, int count, float* words) {
+    const int lanes = static_cast<int>(hn::Lanes(d));
+    for (; i + 2 * lanes <= count; i += 2 * lanes) {
+      const auto low = hn::LoadU(d, from + i);
+      auto high = hn::LoadU(d, from + i + lanes);
+      asm("vcvtne2ps2bf16 %1, %0, %0" : "+v"(high.raw) : "v"(low.raw));
+      hn::StoreU(high, d, words + i / 2);
+    }
+    return i;
+  }
+#endif
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lcdm::kernels
+HWY_AFTER_NAMESPACE();
+
+#endif

@@ -1,0 +1,103 @@
+// Quads of 8-bit integers (AVX-512 VNNI, dot product of Armv8.2).
+#if defined(LCDM_KERNELS_INT8_INL_H) == defined(HWY_TARGET_TOGGLE)
+#ifdef LCDM_KERNELS_INT8_INL_H
+#undef LCDM_KERNELS_INT8_INL_H
+#else
+#define LCDM_KERNELS_INT8_INL_H
+#endif
+
+#include <cstddef>
+#include <cstdint>
+
+#include "firmware/nn/kernels/operand-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace lcdm::kernels {
+namespace HWY_NAMESPACE {
+
+// Rows are bytes of their own range, unsigned but where kSigned; columns are signed ones. Sums are
+// 32-bit integers behind the face of floats.
+struct Int8Operand {
+  static constexpr bool kSigned = HWY_TARGET == HWY_NEON;  // both alike, as its instruction wants
+
+  static constexpr Precision kPrecision = Precision::kInt8;
+  static constexpr bool kScaled = true;
+  static constexpr int kBlock = 0;
+
+  template <class D, class V = hn::Vec<D>>
+  static HWY_INLINE V dot(D d, V x, V w, V sum) {
+#if HWY_TARGET == HWY_AVX3
+    (void)d;
+    asm("vpdpbusd %2, %1, %0" : "+v"(sum.raw) : "v"(x.raw), "v"(w.raw));
+    return sum;
+#elif HWY_TARGET == HWY_NEON
+    (void)d;
+    asm(LCDM_ARM_ASSEMBLER "sdot %0.4s, %1.16b, %2.16b" : "+w"(sum.raw) : "w"(x.raw), "w"(w.raw));
+    return sum;
+#else
+    const hn::RebindToUnsigned<D> du;
+    const hn::RebindToSigned<D> di;
+    const auto byte = hn::Set(du, 0xFFU);
+    const auto xu = hn::BitCast(du, x);
+    const auto wi = hn::BitCast(di, w);
+    const auto product = [&](auto x_byte, auto w_at_top) HWY_ATTR {
+      return hn::Mul(hn::BitCast(di, x_byte), hn::ShiftRight<24>(w_at_top));
+    };
+    auto total = hn::BitCast(di, sum);
+    total = hn::Add(total, product(hn::And(xu, byte), hn::ShiftLeft<24>(wi)));
+    total = hn::Add(total, product(hn::And(hn::ShiftRight<8>(xu), byte), hn::ShiftLeft<16>(wi)));
+    total = hn::Add(total, product(hn::And(hn::ShiftRight<16>(xu), byte), hn::ShiftLeft<8>(wi)));
+    total = hn::Add(total, product(hn::ShiftRight<24>(xu), wi));
+    return hn::BitCast(d, total);
+#endif
+  }
+
+  // `count` numbers of each row, a multiple of 4, into count / 4 words. The rows share one range.
+  static HWY_INLINE void narrow_rows(const float* from, std::ptrdiff_t stride, int rows, int count,
+                                     float* words, RowRange* ranges) {
+    const RowRange range = range_of(from, stride, rows, static_cast<std::size_t>(count));
+    const float inverse = range.scale > 0 ? 1.0F / range.scale : 0.0F;
+    // A signed byte is the unsigned one less 128, which is its highest bit turned.
+    const std::uint8_t turned = kSigned ? 0x80 : 0;
+    const RowRange given = {range.low + static_cast<float>(turned) * range.scale, range.scale};
+    auto* bytes = reinterpret_cast<std::uint8_t*>(words);
+    for (int m = 0; m < rows; ++m, from += stride, bytes += count) {
+      ranges[m] = given;
+      for_channels(static_cast<std::size_t>(count), [&](auto d, std::size_t i) HWY_ATTR {
+        const auto x =
+            hn::Mul(hn::Sub(hn::LoadU(d, from + i), hn::Set(d, range.low)), hn::Set(d, inverse));
+        const hn::Rebind<std::uint8_t, decltype(d)> d8;
+        const auto byte = hn::DemoteTo(d8, hn::NearestInt(x));
+        hn::StoreU(hn::Xor(byte, hn::Set(d8, turned)), d8, bytes + i);
+      });
+    }
+  }
+
+ private:
+  static HWY_INLINE RowRange range_of(const float* from, std::ptrdiff_t stride, int rows,
+                                      std::size_t count) {
+    const FullTag d;
+    FullVec low = hn::Set(d, from[0]);
+    FullVec high = low;
+    for (int m = 0; m < rows; ++m, from += stride) {
+      std::size_t i = 0;
+      for (; i + kLanes <= count; i += kLanes) {
+        const FullVec v = hn::LoadU(d, from + i);
+        low = hn::Min(low, v);
+        high = hn::Max(high, v);
+      }
+      for (; i < count; ++i) {
+        low = hn::Min(low, hn::Set(d, from[i]));
+        high = hn::Max(high, hn::Set(d, from[i]));
+      }
+    }
+    const float least = hn::GetLane(hn::MinOfLanes(d, low));
+    return {least, (hn::GetLane(hn::MaxOfLanes(d, high)) - least) / 255.0F};
+  }
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace lcdm::kernels
+HWY_AFTER_NAMESPACE();
+
+#endif
