@@ -46,7 +46,7 @@ why_no_guest() {
   local tool
   [[ $(dpkg --print-architecture) == amd64 ]] || { echo 'guests are booted on amd64'; return; }
   [[ $(. /etc/os-release && echo "$ID$VERSION_ID") == debian12 ]] || { echo 'the guest is a Debian 12'; return; }
-  for tool in "${machine[0]}" qemu-img mmdebstrap mke2fs ssh curl jq; do
+  for tool in "${machine[0]}" qemu-img mmdebstrap mke2fs ssh curl jq node; do
     command -v "$tool" >/dev/null || { echo "no $tool: systemd/install-packages.sh test"; return; }
   done
   [[ $(id -u) -eq 0 ]] || { echo 'making its disk needs root'; return; }

@@ -99,7 +99,7 @@ configure_service >/dev/null 2>>"$work/install.log"
 camera_arrives
 soak 'test driver' same_brightness \
   broken_frames frames_lost stream_error disconnect camera_gone clients_stall slow_disk
-jpeg_camera 2>>"$work/install.log"
+jpeg_camera 2>>"$work/install.log" || { echo 'FAIL  no depth from JPEGs'; exit 1; }
 soak 'JPEGs' same_frames frames_cut frames_flipped camera_silent clients_stall slow_disk
 $failed || echo PASS
 ! $failed
