@@ -5,7 +5,7 @@
 #                      format
 #   ./test.sh --all    the same, then the long ones: everything under the sanitizers, clang-tidy,
 #                      g++-11, the kernels for Arm under QEMU (its libraries are 1 GB), everything of
-#                      the guest and a longer soak
+#                      the guest, also of one for Arm (30 minutes and more), and a longer soak
 #
 # Prints how long each stage took. Stops at the first stage that fails.
 set -euo pipefail
@@ -16,7 +16,7 @@ case ${1:-} in
   '') ;;
   --all) all=true ;;
   -h | --help)
-    sed -n '2,10s/^# \{0,1\}//p' "$0"
+    sed -n '2,11s/^# \{0,1\}//p' "$0"
     exit 0
     ;;
   *)
@@ -68,6 +68,9 @@ run_subset() {
 make_package() {
   package=$(./package.sh --preset trainer | tail -1) && echo "$package"
 }
+make_arm64_package() {
+  arm64_package=$(./package.sh --preset arm64 | tail -1) && echo "$arm64_package"
+}
 check_format() {
   git ls-files '*.h' '*.cpp' | xargs clang-format --dry-run --Werror
 }
@@ -118,6 +121,8 @@ if $all; then
   stage 'arm64 libraries' tests/arm64/sysroot.sh
   stage 'arm64 build' build_arm64
   stage 'arm64 tests under QEMU' run_arm64
+  stage 'arm64 package' make_arm64_package
+  stage 'booted guest, arm64' tests/appliance/run.sh --all --arch arm64 --package "$arm64_package"
   stage 'booted guest, everything' tests/appliance/run.sh --all --package "$package"
   stage 'booted guest, long soak' tests/appliance/soak.sh 10 --package "$package"
 fi

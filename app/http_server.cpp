@@ -30,8 +30,10 @@ extern "C" int pthread_attr_setstacksize(pthread_attr_t* attributes, std::size_t
 namespace lcdm {
 namespace {
 
-// Threads beyond the viewers', for short requests such as the status.
-constexpr int kShortRequestThreads = 4;
+// Threads beyond the viewers', for short requests such as the status, and how many of them may wait
+// for something: nobody who asks for pictures keeps the others from the status.
+constexpr int kShortRequestThreads = 8;
+constexpr int kWaitingThreads = kShortRequestThreads / 2;
 constexpr const char* kMaxRequestBytes = "8192";
 // What the kernel may hold for one client. A slow one then loses frames, not seconds.
 constexpr int kSendBufferBytes = 256 * 1024;
@@ -311,17 +313,22 @@ void HttpServer::answer(mg_connection* connection, HttpExchange& exchange) {
 }
 
 void HttpServer::serve(const HttpRoute& route, HttpExchange& exchange) {
-  if (!route.is_stream) {
+  if (route.stay == HttpStay::kShort) {
     route.serve(exchange);
     return;
   }
+  const bool is_stream = route.stay == HttpStay::kStream;
   struct Place {
     std::atomic<int>& taken;
     const int before = taken.fetch_add(1);
     ~Place() { taken.fetch_sub(1); }
-  } const place{viewers_};
-  if (place.before < options_.max_clients) {
+  } const place{is_stream ? viewers_ : waiting_};
+  if (place.before < (is_stream ? options_.max_clients : kWaitingThreads)) {
     route.serve(exchange);
+  } else if (!is_stream) {
+    exchange.send_text(503, "text/plain; charset=utf-8",
+                       "others wait for this already, as many as may: ask again\n",
+                       {{"Retry-After", "1"}});
   } else {
     exchange.send_text(503, "text/plain; charset=utf-8",
                        "all viewers' places are taken: close a page or raise http.max_clients\n",

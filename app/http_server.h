@@ -2,6 +2,7 @@
 #pragma once
 
 #include <atomic>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <span>
@@ -56,10 +57,18 @@ class HttpExchange {
   bool begun_ = false;
 };
 
+// How long a route keeps its thread of the pool.
+enum class HttpStay : std::uint8_t {
+  kShort,   // answers with what is there
+  kWaits,   // may wait for something: so many of these at once that half of the pool that short
+            // requests have stays free
+  kStream,  // for as long as the client reads: counts against max_clients
+};
+
 struct HttpRoute {
   std::string path;            // exact
   std::string method = "GET";  // anything that changes state is POST
-  bool is_stream = false;      // counts against max_clients for as long as it runs
+  HttpStay stay = HttpStay::kShort;
   std::function<void(HttpExchange&)> serve;
 };
 
@@ -110,6 +119,7 @@ class HttpServer {
   mg_context* context_ = nullptr;
   int port_ = 0;
   std::atomic<int> viewers_{0};
+  std::atomic<int> waiting_{0};
   std::atomic<bool> stopping_{false};
 };
 

@@ -41,7 +41,7 @@ struct Parts {
 using PartsPtr = std::shared_ptr<const Parts>;
 
 HttpRoute file_route(const std::string& path, const std::string& name, const std::string& type) {
-  return {path, "GET", false,
+  return {path, "GET", HttpStay::kShort,
           [name, type](HttpExchange& exchange) { exchange.send(200, type, find_web_file(name)); }};
 }
 
@@ -167,12 +167,12 @@ std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view, Reco
                                   const Service& service) {
   const PartsPtr parts =
       std::make_shared<const Parts>(Parts{pipeline, view, recorder, service, os::monotonic_ns()});
-  const auto route = [&](const char* path, bool is_stream, auto handler) {
-    return HttpRoute{path, "GET", is_stream,
+  const auto route = [&](const char* path, HttpStay stay, auto handler) {
+    return HttpRoute{path, "GET", stay,
                      [parts, handler](HttpExchange& exchange) { handler(*parts, exchange); }};
   };
   const auto action = [&](const char* path, auto handler) {
-    return HttpRoute{path, "POST", false,
+    return HttpRoute{path, "POST", HttpStay::kShort,
                      [parts, handler](HttpExchange& exchange) { handler(*parts, exchange); }};
   };
   return {
@@ -182,14 +182,14 @@ std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view, Reco
       file_route("/live.js", "live.js", "text/javascript; charset=utf-8"),
       file_route("/depth.js", "depth.js", "text/javascript; charset=utf-8"),
       file_route("/icon.svg", "icon.svg", "image/svg+xml"),
-      route("/live", true, stream_live),
-      route("/stream.mjpg", true, stream_mjpeg),
-      route("/depth.png", false, send_depth_png),
-      route("/status.json", false,
+      route("/live", HttpStay::kStream, stream_live),
+      route("/stream.mjpg", HttpStay::kStream, stream_mjpeg),
+      route("/depth.png", HttpStay::kWaits, send_depth_png),
+      route("/status.json", HttpStay::kShort,
             [](const Parts& p, HttpExchange& exchange) {
               exchange.send_text(200, kJson, text_of(p.status(exchange)));
             }),
-      route("/healthz", false, send_health),
+      route("/healthz", HttpStay::kShort, send_health),
       action("/record/start", begin_recording),
       action("/record/stop", end_recording),
   };

@@ -71,6 +71,10 @@ Result<CapturedFrame> V4l2Camera::dequeue(std::chrono::milliseconds timeout) {
   V4l2Filled filled;
   LCDM_RETURN_IF_ERROR(take(filled, timeout));
   const std::uint64_t sequence = sequence_.next(filled.sequence);
+  if (filled.ours) {
+    return Status::error(StatusCode::kCorrupt,
+                         "v4l2:%s: the driver filled a buffer it did not have", selector_.c_str());
+  }
   if ((filled.flags & V4L2_BUF_FLAG_ERROR) != 0 || filled.bytes < frame_bytes_) {
     LCDM_RETURN_IF_ERROR(requeue(filled.index));
     return Status::error(StatusCode::kCorrupt, "v4l2:%s: damaged frame (%zu bytes, flags %x)",

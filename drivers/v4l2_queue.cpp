@@ -5,6 +5,7 @@
 #include <fcntl.h>
 #include <optional>
 #include <sys/mman.h>
+#include <utility>
 
 #include "firmware/base/os.h"
 
@@ -156,7 +157,7 @@ Status V4l2Queue::map_one(std::uint32_t index) {
   void* memory = mmap(nullptr, length, PROT_READ | PROT_WRITE, MAP_SHARED, device_.fd(),
                       static_cast<off_t>(offset));
   if (memory == MAP_FAILED) return device_.failure(errno, "cannot map a buffer");
-  buffers_.push_back({memory, length});
+  buffers_.push_back({memory, length, false});
   stamp_ = stamp_source(slot.buffer.flags);
   return Status::ok();
 }
@@ -208,6 +209,7 @@ Status V4l2Queue::enqueue(int index) {
   if (const int fault = device_.control(VIDIOC_QBUF, &slot.buffer); fault != 0) {
     return device_.failure(fault, "cannot give a buffer back");
   }
+  buffers_[static_cast<std::size_t>(index)].with_driver = true;
   return Status::ok();
 }
 
@@ -216,12 +218,13 @@ int V4l2Queue::dequeue(V4l2Filled& filled) {
   prepare(slot, 0);
   if (const int fault = device_.control(VIDIOC_DQBUF, &slot.buffer); fault != 0) return fault;
   if (slot.buffer.index >= buffers_.size()) return EBADMSG;
-  const Mapping& mapping = buffers_[slot.buffer.index];
+  Mapping& mapping = buffers_[slot.buffer.index];
   const bool planes = device_.multi_planar();
   const std::size_t begin = planes ? slot.plane.data_offset : 0;
   const std::size_t end = planes ? slot.plane.bytesused : slot.buffer.bytesused;
   const bool inside = begin <= end && end <= mapping.length;
   filled.index = static_cast<int>(slot.buffer.index);
+  filled.ours = !std::exchange(mapping.with_driver, false);
   filled.data = static_cast<const std::uint8_t*>(mapping.memory) + (inside ? begin : 0);
   filled.bytes = inside ? end - begin : 0;
   filled.flags = slot.buffer.flags;

@@ -16,6 +16,7 @@ namespace lcdm {
 // A buffer that the driver has filled. Checked: the index is one of ours, the bytes lie inside it.
 struct V4l2Filled {
   int index = -1;
+  bool ours = false;  // the driver did not have it: it is still ours, and now part of two frames
   const std::uint8_t* data = nullptr;
   std::size_t bytes = 0;
   std::uint32_t flags = 0;     // V4L2_BUF_FLAG_...
@@ -58,6 +59,7 @@ class V4l2Queue {
   struct Mapping {
     void* memory = nullptr;
     std::size_t length = 0;
+    bool with_driver = false;
   };
   // The driver's view of one buffer; `plane` is used by multi-planar drivers.
   struct Slot {

@@ -50,6 +50,7 @@ Supervisor::Finding::Finding(DeviceState found, const char* format, ...) : state
 const Judgement& Supervisor::judge(const Observation& seen) {
   follow_progress(seen);
   count_missed(seen);
+  follow_output_fault(seen);
   const std::int64_t silence = seen.now_ns - last_progress_ns_;
   judgement_.alive = late_vital() == nullptr && silence <= options_.depth_deadline_ns;
   judgement_.ready = judgement_.ready || waiting_ || seen.pipeline.inferred > 0;
@@ -98,6 +99,14 @@ void Supervisor::count_missed(const Observation& seen) {
   }
 }
 
+void Supervisor::follow_output_fault(const Observation& seen) {
+  if (seen.output_fault[0] == 0) {
+    output_fault_since_ns_ = -1;
+  } else if (output_fault_since_ns_ < 0) {
+    output_fault_since_ns_ = seen.now_ns;
+  }
+}
+
 const char* Supervisor::late_vital() const {
   for (std::size_t i = 0; i < vital_late_.size(); ++i) {
     if (vital_late_[i]) return kVitalThreads[i];
@@ -143,7 +152,10 @@ Supervisor::Finding Supervisor::find_loss(const Observation& seen) const {
   if (const char* thread = late_output(seen)) {
     return {DeviceState::kDegraded, "thread %s gives no sign of life: its output is lost", thread};
   }
-  if (seen.output_fault[0] != 0) return {DeviceState::kDegraded, "%s", seen.output_fault};
+  if (output_fault_since_ns_ >= 0 &&
+      seen.now_ns - output_fault_since_ns_ < options_.output_fault_ns) {
+    return {DeviceState::kDegraded, "%s", seen.output_fault};
+  }
   if (seen.effort != Effort::kFull) {
     return {DeviceState::kDegraded, "%s: %s", to_string(seen.effort), seen.effort_reason};
   }

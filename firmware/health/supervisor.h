@@ -49,6 +49,9 @@ struct SupervisorOptions {
   std::int64_t vital_deadline_ns = 10'000'000'000;
   // The same for a thread that serves an output. A slow disk is not a dead one.
   std::int64_t output_deadline_ns = 10'000'000'000;
+  // An output that ended by itself degrades the device for this long: it will not begin again by
+  // itself, and the status goes on saying what became of it.
+  std::int64_t output_fault_ns = 60'000'000'000;
   // Frames come, but no depth and no step towards an engine, for this long.
   std::int64_t depth_deadline_ns = 10'000'000'000;
 };
@@ -85,6 +88,7 @@ class Supervisor {
 
   void follow_progress(const Observation& seen);
   void count_missed(const Observation& seen);
+  void follow_output_fault(const Observation& seen);
   const char* late_vital() const;
   const char* late_output(const Observation& seen) const;
   Finding find(const Observation& seen) const;
@@ -102,8 +106,9 @@ class Supervisor {
   std::uint64_t prepared_ = 0;
   std::int64_t last_frame_ns_ = -1;    // when `captured` last rose
   std::int64_t last_progress_ns_ = 0;  // when depth last came or came nearer, or could not come
-  bool waiting_ = false;               // declared, and no frame comes
-  std::array<bool, 3> vital_late_{};   // main, capture, infer
+  std::int64_t output_fault_since_ns_ = -1;  // negative: there is none
+  bool waiting_ = false;                     // declared, and no frame comes
+  std::array<bool, 3> vital_late_{};         // main, capture, infer
   std::array<bool, kMaxOutputs> output_late_{};
 };
 

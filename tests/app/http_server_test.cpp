@@ -42,21 +42,30 @@ class HttpServerTest : public testing::Test {
 
   std::vector<HttpRoute> routes() {
     return {
-        {"/hello", "GET", false,
+        {"/hello", "GET", HttpStay::kShort,
          [](HttpExchange& exchange) { exchange.send_text(200, "text/plain", "hello"); }},
-        {"/viewers", "GET", false,
+        {"/viewers", "GET", HttpStay::kShort,
          [](HttpExchange& exchange) {
            exchange.send_text(200, "text/plain", std::to_string(exchange.viewers()));
          }},
-        {"/query", "GET", false,
+        {"/query", "GET", HttpStay::kShort,
          [](HttpExchange& exchange) {
            exchange.send_text(200, "text/plain", exchange.query("q"));
          }},
-        {"/change", "POST", false,
+        {"/change", "POST", HttpStay::kShort,
          [](HttpExchange& exchange) { exchange.send_text(200, "text/plain", "changed"); }},
-        {"/throw", "GET", false, [](HttpExchange&) { throw std::runtime_error("a bug"); }},
-        {"/flood", "GET", true, [this](HttpExchange& exchange) { flood(exchange); }},
+        {"/throw", "GET", HttpStay::kShort,
+         [](HttpExchange&) { throw std::runtime_error("a bug"); }},
+        {"/flood", "GET", HttpStay::kStream, [this](HttpExchange& exchange) { flood(exchange); }},
+        {"/wait", "GET", HttpStay::kWaits, [this](HttpExchange& exchange) { wait(exchange); }},
     };
+  }
+
+  // Answers when the test says so.
+  void wait(HttpExchange& exchange) {
+    ++waiting_;
+    while (!come_) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    exchange.send_text(200, "text/plain", "come");
   }
 
   // Sends as fast as the client takes it.
@@ -76,6 +85,8 @@ class HttpServerTest : public testing::Test {
   }
 
   std::atomic<int> floods_ended_{0};
+  std::atomic<int> waiting_{0};
+  std::atomic<bool> come_{false};
   std::unique_ptr<HttpServer> server_;
   int port_ = 0;
 };
@@ -250,6 +261,27 @@ TEST_F(HttpServerTest, OneViewerTooManyIsTurnedAway) {
   RawClient next(port_);
   start_stream(next);
   EXPECT_THAT(next.read(2000, 100), StartsWith("HTTP/1.1 200 ")) << "a place is free again";
+}
+
+TEST_F(HttpServerTest, ThoseWhoWaitNeverTakeTheThreadsOfShortRequests) {
+  constexpr int kMayWait = 4;
+  std::vector<std::thread> clients;
+  std::atomic<int> served{0};
+  for (int i = 0; i < kMayWait; ++i) {
+    clients.emplace_back([&] { served += get(port_, "/wait").ends_with("come") ? 1 : 0; });
+  }
+  for (int i = 0; i < 500 && waiting_ < kMayWait; ++i) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  EXPECT_EQ(waiting_, kMayWait);
+  const std::string answer = get(port_, "/wait");
+  EXPECT_THAT(answer, StartsWith("HTTP/1.1 503 "));
+  EXPECT_THAT(answer, HasSubstr("Retry-After: 1"));
+  EXPECT_THAT(get(port_, "/hello"), EndsWith("hello"));
+  come_ = true;
+  for (std::thread& client : clients) client.join();
+  EXPECT_EQ(served, kMayWait);
+  EXPECT_THAT(get(port_, "/wait"), EndsWith("come")) << "a place is free again";
 }
 
 TEST_F(HttpServerTest, StopsWithoutWaitingForItsClients) {

@@ -13,7 +13,7 @@ set_service() {
 # loaded with vivid.
 board_modules() {
   local modules
-  modules=$(tests/appliance/guest_modules.sh "$guest") || return
+  modules=$(tests/appliance/guest_modules.sh "$guest" "$architecture" board) || return
   tar -c -C "$modules" . | on_guest 'tar -x -C /root && insmod /root/gpio-sim.ko &&
     modprobe vivid && insmod /root/vimc.ko' >&2
 }

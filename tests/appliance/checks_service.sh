@@ -109,6 +109,8 @@ boot_to_depth() {
 # more are for the start on a busy machine.
 power_cut_keeps_recording() {
   local file begin span_ns
+  [[ -d tests/peers/node_modules ]] ||
+    { echo 'what reads the recording is not there: npm install in tests/peers'; return "$cannot"; }
   on_guest 'curl -sf -X POST localhost:8080/record/start && sleep 9' >&2 || return
   file=$(status .recording.file) || return
   kill_guest

@@ -2,17 +2,21 @@
 #
 # Its disk is an overlay over the image, so that every run begins with a machine that never booted.
 
-guest=$PWD/build/appliance/guest  # image, kernel and key
-work=                             # the folder of this run: disk, console, logs
+. tests/appliance/architecture.sh
+
+guest=  # image, kernel and key
+work=   # the folder of this run: disk, console, logs
 guest_pid=
 
-# open_guest NAME: switches a new guest on, in which $package (made now, if it is empty) can be
-# installed. On a machine that can have none it says so and ends. NAME is the caller's.
+# open_guest NAME ARCHITECTURE: switches a new guest on, in which $package (made now, if it is empty)
+# can be installed. On a machine that can have none it says so and ends. NAME is the caller's.
 open_guest() {
   local reason
+  set_architecture "$2"
+  guest=$(guest_folder)
   reason=$(why_no_guest)
   [[ -z $reason ]] || { echo "$1.sh: skipped: $reason"; exit 0; }
-  [[ -n $package ]] || package=$(./package.sh | tail -1)
+  [[ -n $package ]] || package=$(make_package | tail -1)
   mkdir -p "$guest"
   work=$(mktemp -d "$PWD/build/appliance/$1.XXXX")
   trap 'close_guest $?' EXIT
@@ -21,7 +25,7 @@ open_guest() {
     -o ConnectTimeout=20 -o ServerAliveInterval=10 -o ServerAliveCountMax=6
     -o ControlMaster=auto -o ControlPath="$work/ssh" -o ControlPersist=600
   )
-  tests/appliance/guest_image.sh "$package" "$guest"
+  tests/appliance/guest_image.sh "$package" "$guest" "$architecture"
   new_disk
   start_guest
 }
@@ -39,14 +43,14 @@ close_guest() {
 
 # Why no guest can be booted on this machine; nothing when one can.
 why_no_guest() {
-  local architecture tool
-  architecture=$(dpkg --print-architecture)
-  [[ $architecture == amd64 ]] || { echo "no guest for $architecture yet"; return; }
+  local tool
+  [[ $(dpkg --print-architecture) == amd64 ]] || { echo 'guests are booted on amd64'; return; }
   [[ $(. /etc/os-release && echo "$ID$VERSION_ID") == debian12 ]] || { echo 'the guest is a Debian 12'; return; }
-  for tool in qemu-system-x86_64 qemu-img mmdebstrap mke2fs ssh curl jq; do
+  for tool in "${machine[0]}" qemu-img mmdebstrap mke2fs ssh curl jq node; do
     command -v "$tool" >/dev/null || { echo "no $tool: systemd/install-packages.sh test"; return; }
   done
   [[ $(id -u) -eq 0 ]] || { echo 'making its disk needs root'; return; }
+  runs_here || { echo "no $architecture program runs here: qemu-user-static, binfmt_misc"; return; }
 }
 
 free_port() {
@@ -67,9 +71,9 @@ start_guest() {
   web_port=$(free_port)
   web=http://127.0.0.1:$web_port
   # A kernel that crashes hangs, as panic=0 says: what resets it is the watchdog.
-  qemu-system-x86_64 -M pc -accel tcg,thread=multi -cpu max -smp 2 -m 1536 -display none \
+  "${machine[@]}" -accel tcg,thread=multi -smp 2 -m 1536 -display none \
     -serial "file:$work/console.log" -monitor none -kernel "$guest/vmlinuz" -initrd "$guest/initrd" \
-    -append "console=ttyS0 root=/dev/vda rw quiet panic=0 mitigations=off audit=0 apparmor=0" \
+    -append "console=$console root=/dev/vda rw quiet panic=0 mitigations=off audit=0 apparmor=0" \
     -drive "file=$work/disk.qcow2,if=virtio,cache=writeback" \
     -device i6300esb -action watchdog=reset -device virtio-rng-pci \
     -nic "user,model=virtio-net-pci,restrict=on,hostfwd=tcp:127.0.0.1:$ssh_port-:22,hostfwd=tcp:127.0.0.1:$web_port-:8080" \
@@ -86,9 +90,10 @@ hang_up() { ssh "${ssh_options[@]}" -O exit 127.0.0.1 >/dev/null 2>&1 || true; r
 
 boot_number() { on_guest cat /proc/sys/kernel/random/boot_id; }
 
-# wait_guest SECONDS [NOT]: until the guest answers, in another boot than NOT.
+# wait_guest SECONDS [NOT]: until the guest answers, in another boot than NOT. The limit is an amd64
+# guest's.
 wait_guest() {
-  local end=$((SECONDS + $1)) boot
+  local end=$((SECONDS + $1 * patience)) boot
   while ((SECONDS < end)); do
     kill -0 "$guest_pid" 2>/dev/null || { cat "$work/qemu.log" >&2; return 1; }
     boot=$(boot_number 2>/dev/null) && [[ $boot != "${2:-}" ]] && return

@@ -4,6 +4,7 @@
 #
 #   tests/appliance/run.sh           what continuous integration runs
 #   tests/appliance/run.sh --all     also what takes long or needs kernel modules built
+#     --arch arm64                   the same on a guest with another processor (default: amd64)
 #     --package FILE                 this package (default: ./package.sh makes one)
 #     --keep                         leaves the guest running and says how to reach it
 #
@@ -11,13 +12,14 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
-all=false keep=false package=
+all=false keep=false package= arch=amd64
 while [[ $# -gt 0 ]]; do
   case $1 in
     --all) all=true ;;
     --keep) keep=true ;;
+    --arch) arch=${2:?"run.sh: --arch wants amd64 or arm64"}; shift ;;
     --package) package=${2:?"run.sh: --package wants a file"}; shift ;;
-    -h | --help) sed -n '2,10s/^# \{0,1\}//p' "$0"; exit 0 ;;
+    -h | --help) sed -n '2,11s/^# \{0,1\}//p' "$0"; exit 0 ;;
     *) echo "run.sh: unknown option '$1': see tests/appliance/run.sh --help" >&2; exit 2 ;;
   esac
   shift
@@ -38,7 +40,7 @@ finish() {
   fi
 }
 
-open_guest run
+open_guest run "$arch"
 trap 'finish $?' EXIT
 check 'boots' boots
 ((failures == 0)) || { tail -20 "$work/console.log"; exit 1; }

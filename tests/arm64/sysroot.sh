@@ -19,19 +19,20 @@ packages=(mmdebstrap g++-aarch64-linux-gnu qemu-user-static)
 dpkg-query -W "${packages[@]}" >/dev/null 2>&1 ||
   as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends "${packages[@]}"
 
-if [[ -e $folder/usr/include/gpiod.h ]]; then
+if [[ -e $folder/usr/include/libcamera ]]; then
   echo "$folder is there already"
   exit 0
 fi
 libraries=(
   libc6-dev libstdc++-12-dev libeigen3-dev libhwy-dev libopencv-dev libjpeg-dev libturbojpeg0-dev
   libpng-dev libcivetweb-dev libcli11-dev libtoml11-dev nlohmann-json3-dev libgtest-dev
-  libgmock-dev libumockdev-dev libudev-dev libsystemd-dev libgpiod-dev
+  libgmock-dev libumockdev-dev libudev-dev libsystemd-dev libgpiod-dev libcamera-dev
 )
 sources=()
 for file in /etc/apt/sources.list /etc/apt/sources.list.d/*.list /etc/apt/sources.list.d/*.sources; do
   [[ -s $file ]] && sources+=("$file")
 done
+mkdir -p "$(dirname "$folder")"
 release=$(. /etc/os-release && echo "$VERSION_CODENAME")
 as_root mmdebstrap --variant=extract --architectures=arm64 \
   --include="$(IFS=,; echo "${libraries[*]}")" "$release" "$folder" "${sources[@]}"

@@ -112,13 +112,16 @@ TEST_F(V4l2CameraTest, KeepsTheDriversRowPadding) {
 }
 
 TEST_F(V4l2CameraTest, TakesMjpegWhereThereIsNothingElse) {
-  FakeV4l2::Behaviour behaviour;
-  behaviour.fourcc = V4L2_PIX_FMT_MJPEG;
-  const FakeV4l2 device(behaviour);
-  V4l2Camera camera(FakeV4l2::kPath);
-  open_camera(camera);
-  EXPECT_EQ(camera.format().pixel, PixelFormat::kMjpeg);
-  EXPECT_TRUE(camera.dequeue(milliseconds(500)));
+  for (const std::uint32_t capture : {V4L2_CAP_VIDEO_CAPTURE, V4L2_CAP_VIDEO_CAPTURE_MPLANE}) {
+    FakeV4l2::Behaviour behaviour;
+    behaviour.capabilities = capture | V4L2_CAP_STREAMING;
+    behaviour.fourcc = V4L2_PIX_FMT_MJPEG;
+    const FakeV4l2 device(behaviour);
+    V4l2Camera camera(FakeV4l2::kPath);
+    open_camera(camera);
+    EXPECT_EQ(camera.format().pixel, PixelFormat::kMjpeg);
+    EXPECT_TRUE(camera.dequeue(milliseconds(500)));
+  }
 }
 
 TEST_F(V4l2CameraTest, RefusesAFormatItCannotRead) {
@@ -131,7 +134,7 @@ TEST_F(V4l2CameraTest, RefusesAFormatItCannotRead) {
   EXPECT_NE(std::string(status.text()).find("offers RG10"), std::string::npos);
 }
 
-TEST_F(V4l2CameraTest, ReadsEveryUncompressedFormatWhole) {
+TEST_F(V4l2CameraTest, ReadsEveryUncompressedFormatWholeFromEitherKindOfQueue) {
   struct Known {
     std::uint32_t fourcc;
     PixelFormat pixel;
@@ -144,16 +147,20 @@ TEST_F(V4l2CameraTest, ReadsEveryUncompressedFormatWhole) {
                          {V4L2_PIX_FMT_RGB24, PixelFormat::kRgb24, 64 * 48 * 3},
                          {V4L2_PIX_FMT_BGR24, PixelFormat::kBgr24, 64 * 48 * 3},
                          {V4L2_PIX_FMT_GREY, PixelFormat::kGrey, 64 * 48}};
-  for (const Known& each : known) {
-    FakeV4l2::Behaviour behaviour;
-    behaviour.fourcc = each.fourcc;
-    const FakeV4l2 device(behaviour);
-    V4l2Camera camera(FakeV4l2::kPath);
-    open_camera(camera);
-    EXPECT_EQ(camera.format().pixel, each.pixel);
-    const auto frame = camera.dequeue(milliseconds(500));
-    ASSERT_TRUE(frame) << to_string(each.pixel) << ": " << frame.status().text();
-    EXPECT_EQ(frame->view.bytes, each.bytes) << to_string(each.pixel);
+  for (const std::uint32_t capture : {V4L2_CAP_VIDEO_CAPTURE, V4L2_CAP_VIDEO_CAPTURE_MPLANE}) {
+    for (const Known& each : known) {
+      SCOPED_TRACE(std::string(to_string(each.pixel)) + ", capability " + std::to_string(capture));
+      FakeV4l2::Behaviour behaviour;
+      behaviour.capabilities = capture | V4L2_CAP_STREAMING;
+      behaviour.fourcc = each.fourcc;
+      const FakeV4l2 device(behaviour);
+      V4l2Camera camera(FakeV4l2::kPath);
+      open_camera(camera);
+      EXPECT_EQ(camera.format().pixel, each.pixel);
+      const auto frame = camera.dequeue(milliseconds(500));
+      ASSERT_TRUE(frame) << frame.status().text();
+      EXPECT_EQ(frame->view.bytes, each.bytes);
+    }
   }
 }
 
@@ -406,6 +413,21 @@ TEST_F(V4l2CameraTest, ABufferThatDoesNotExistIsAnErrorNotACrash) {
   V4l2Camera camera(FakeV4l2::kPath);
   open_camera(camera);
   EXPECT_EQ(camera.dequeue(milliseconds(500)).code(), StatusCode::kIoError);
+}
+
+// As v4l2loopback does to a slow reader: it writes round its ring, whoever has the buffers.
+TEST_F(V4l2CameraTest, ABufferThatTheDriverDidNotHaveIsALostFrameAndStaysOurs) {
+  const FakeV4l2 device(
+      answering([](int n) { return n == 1 ? Answer::kSameAgain : Answer::kFrame; }));
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  const int with_driver = device.buffers_with_driver();
+  const auto held = camera.dequeue(milliseconds(500));
+  ASSERT_TRUE(held);
+  EXPECT_EQ(camera.dequeue(milliseconds(500)).code(), StatusCode::kCorrupt);
+  EXPECT_EQ(device.buffers_with_driver(), with_driver - 1);
+  EXPECT_TRUE(camera.requeue(held->index));
+  EXPECT_EQ(camera.dequeue(milliseconds(500))->view.meta.sequence, 2U);
 }
 
 TEST_F(V4l2CameraTest, AnUnpluggedCameraIsGoneAndComesBackByConfiguringAgain) {

@@ -206,6 +206,21 @@ TEST_F(SupervisorTest, WhatIsLostIsSaid) {
   EXPECT_TRUE(now_.alive);
 }
 
+// It does not begin again by itself: a device that is well is not called degraded for ever.
+TEST_F(SupervisorTest, ARecordingThatEndedByItselfDegradesForAMinute) {
+  stream();
+  seen_.output_fault = "recording ended: the disk is full";
+  stream(59 * kSecond);
+  EXPECT_EQ(now_.state, DeviceState::kDegraded);
+  stream(2 * kSecond);
+  EXPECT_EQ(now_.state, DeviceState::kStreaming);
+  seen_.output_fault = "";
+  stream();
+  seen_.output_fault = "recording ended: the disk is full";
+  stream();
+  EXPECT_EQ(now_.state, DeviceState::kDegraded) << "each time anew";
+}
+
 TEST_F(SupervisorTest, ACameraThatNothingBringsBackIsAFault) {
   stream();
   seen_.pipeline.state = PipelineState::kFault;

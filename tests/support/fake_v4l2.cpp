@@ -63,6 +63,7 @@ struct FakeV4l2::State {
   mutable std::mutex mutex;
   Behaviour behaviour;
   std::deque<std::uint32_t> queued;
+  std::uint32_t delivered = 0;  // last
   std::uint32_t granted = 0;
   std::uint32_t sequence = 0;
   int requests = 0;
@@ -377,8 +378,11 @@ int FakeV4l2::State::dequeue(v4l2_buffer& buffer, v4l2_plane* planes) {
   if (answer == Answer::kGone) return ENODEV;
   if (answer == Answer::kNothing || queued.empty()) return EAGAIN;
 
-  buffer.index = queued.front();
-  queued.pop_front();
+  if (answer != Answer::kSameAgain) {
+    delivered = queued.front();
+    queued.pop_front();
+  }
+  buffer.index = delivered;
   const std::vector<char> picture(image_bytes(behaviour), static_cast<char>(sequence & 0xFF));
   const auto offset = static_cast<off_t>(buffer.index) * buffer_stride(behaviour);
   if (pwrite(backing, picture.data(), picture.size(), offset) < 0) return EIO;

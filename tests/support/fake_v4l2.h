@@ -27,6 +27,7 @@ class FakeV4l2 {
     kShortFrame,  // one byte
     kHugeFrame,   // bytesused beyond the buffer
     kWildIndex,   // a buffer that does not exist
+    kSameAgain,   // the buffer it delivered last, given back or not
   };
   // A size that the driver lists for its format, at one rate.
   struct Size {
