@@ -90,6 +90,13 @@ stamps_are_judged() {
 }
 stamp_is() { [[ $(status .source.stamp) == "$1" ]]; }
 
+# What lcdm probe finds out of a camera that nobody holds, here by the kernel's own exporter.
+buffers_are_shared() {
+  on_guest 'systemctl stop lcdm; lcdm probe --json; systemctl start lcdm' >"$work/probe.json" || return
+  within 60 depth_flows >&2 || return
+  jq -r '.v4l2[] | select(.usable) | "\(.path): dma_buf \(.dma_buf)"' "$work/probe.json" | grep 'dma_buf true'
+}
+
 # reload_camera OPTION...: the same driver, loaded again with these options.
 reload_camera() {
   unplug

@@ -60,6 +60,7 @@ check 'fatal streaming error' recovers \
 check 'camera disconnected' recovers .recovery.device_waits disconnect
 check 'camera unplugged for seconds' camera_unplugged
 check 'stamps: those that can be' stamps_are_judged
+check 'buffers as dma-bufs' buffers_are_shared
 check 'multi-planar camera' several_planes
 check 'camera under another number' another_number
 check 'control from outside needs the token' control_is_refused
