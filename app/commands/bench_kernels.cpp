@@ -208,8 +208,8 @@ class Cases {
         floats(static_cast<double>(kernels::winograd_floats(args.conv.channels, columns)));
     if (!status_) return;
     kernels::pack_winograd(
-        args.conv.channels, columns, [](int c, int n, int tap) { return 1e-3F * (c - n + tap); },
-        panels);
+        args.conv.channels, columns,
+        [](int c, int n, int tap) { return 1e-3F * static_cast<float>(c - n + tap); }, panels);
     args.panels = panels.data();
     args.conv.weights.columns = columns;
     args.conv.weights.bias = values(columns);

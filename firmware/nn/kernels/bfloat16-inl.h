@@ -68,7 +68,8 @@ struct Bfloat16Operand {
 
   static HWY_INLINE void narrow_rows(const float* from, std::ptrdiff_t stride, int rows, int count,
                                      float* words, RowRange*) {
-    for (int m = 0; m < rows; ++m) narrow(from + m * stride, count, words + m * (count / 2));
+    const std::ptrdiff_t step = count / 2;
+    for (int m = 0; m < rows; ++m) narrow(from + m * stride, count, words + m * step);
   }
 
  private:

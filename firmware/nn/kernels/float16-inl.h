@@ -109,9 +109,10 @@ struct Float16Operand {
   static HWY_INLINE void narrow_rows(const float* from, std::ptrdiff_t stride, int rows, int count,
                                      float* words, RowRange* ranges) {
     const PowerOfTwo scale = power_of_two_within(largest_magnitude(from, stride, rows, count));
+    const std::ptrdiff_t step = count / 2;
     for (int m = 0; m < rows; ++m) {
       ranges[m].scale = scale.value;
-      narrow(from + m * stride, count, scale.inverse, words + m * (count / 2));
+      narrow(from + m * stride, count, scale.inverse, words + m * step);
     }
   }
 

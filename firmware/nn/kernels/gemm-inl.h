@@ -57,6 +57,7 @@ HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::
   if constexpr (Operand::kBlock == 0) {
     accumulate_block<Operand, MR, NV>(d, a, row_stride, k_stride, depth, b, acc);
   } else {
+    constexpr std::ptrdiff_t kVectors = NV * static_cast<std::ptrdiff_t>(kLanes);
     for (int k = 0; k < depth; k += Operand::kBlock) {
       const int words = depth - k < Operand::kBlock ? depth - k : Operand::kBlock;
       hn::Vec<D> part[MR][NV];
@@ -64,7 +65,7 @@ HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::
         LCDM_UNROLL for (int v = 0; v < NV; ++v) part[m][v] = hn::Zero(d);
       }
       accumulate_block<Operand, MR, NV>(d, a + k * k_stride, row_stride, k_stride, words,
-                                        b + k * NV * static_cast<std::ptrdiff_t>(kLanes), part);
+                                        b + k * kVectors, part);
       LCDM_UNROLL for (int m = 0; m < MR; ++m) {
         LCDM_UNROLL for (int v = 0; v < NV; ++v) {
           acc[m][v] = hn::Add(acc[m][v], Operand::widened(d, part[m][v]));
@@ -228,7 +229,7 @@ HWY_NOINLINE void multiply_narrowed(const RowInput& a, const PackedMatrix& b, co
     for (int m = 0; m < rows; m += kRowsOfRange) {
       const int together = rows - m < kRowsOfRange ? rows - m : kRowsOfRange;
       Operand::narrow_rows(a.run[0] + (row + m) * a.stride, a.stride, together, b.depth,
-                           words + m * row_words, ranges + m);
+                           words + static_cast<std::ptrdiff_t>(m) * row_words, ranges + m);
     }
     const Words narrow = {{{words}, 1, row_words, row_words, rows}, ranges};
     multiply_block<Operand>(narrow, b, rows_from(o, row));
