@@ -8,7 +8,6 @@
 namespace lcdm::scene {
 namespace {
 
-constexpr float kPi = 3.14159265F;
 enum Salt : std::uint64_t { kShell = 1, kFurniture, kGuests };
 
 void add_shell(Random& random, Snapshot& out) {

@@ -6,6 +6,8 @@
 
 namespace lcdm::scene {
 
+constexpr float kPi = 3.14159265F;
+
 // x right, y down, z forward (REP 103 optical frame). Metres, a direction, or red-green-blue.
 struct Vec3 {
   float x = 0;

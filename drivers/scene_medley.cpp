@@ -11,7 +11,6 @@
 namespace lcdm::scene {
 namespace {
 
-constexpr float kPi = 3.14159265F;
 enum Salt : std::uint64_t { kShell = 11, kThings, kEye };
 
 // Where things may stand: |x| and |z| up to these.

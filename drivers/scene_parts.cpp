@@ -7,7 +7,6 @@
 namespace lcdm::scene {
 namespace {
 
-constexpr float kPi = 3.14159265F;
 constexpr Vec3 kGlass{0.16F, 0.2F, 0.25F};
 constexpr Vec3 kSteel{0.5F, 0.52F, 0.55F};
 

@@ -3,7 +3,7 @@
 namespace lcdm::scene {
 namespace {
 
-constexpr float kPi = 3.14159265F;
+constexpr float kWall = 0.1F;  // half thickness, metres
 
 void add_window(const Wall& wall, float along, Snapshot& out) {
   const Paint frame = paint(Texture::kPlain, {0.95F, 0.95F, 0.94F}, 0.9F);

@@ -7,8 +7,6 @@
 
 namespace lcdm::scene {
 
-constexpr float kWall = 0.1F;  // half thickness, metres
-
 // A wall seen from inside: `along` metres to its right, the room's floor below.
 struct Wall {
   Place middle;  // on the floor at the wall's foot, looking into the room
@@ -17,6 +15,7 @@ struct Wall {
 
 // Wall 0 to 3 of a room centred at the origin, `room` as in Snapshot.
 Wall wall_of(const Vec3& room, int number);
+// `off` metres into the room.
 Place beside(const Wall& wall, float along, float off);
 
 // The four walls, each with its paint and a plain skirting board, and the ceiling.

@@ -147,8 +147,11 @@ Status read_rendered(const std::string& file, const toml::value& root, const cha
   table.take("frames", frames);
   table.take("wide-share", use.wide_share);
   table.take("tall-share", use.tall_share);
+  LCDM_RETURN_IF_ERROR(table.finish());
   use.frames = static_cast<std::size_t>(frames);
-  return table.finish();
+  if (use.frames <= kMostRenderedFrames) return Status::ok();
+  return table.fault("\"frames\" is at most " + std::to_string(kMostRenderedFrames) +
+                     ": more would show the worlds that validate");
 }
 
 Result<Catalogue> catalogue_of(const std::string& file, const toml::value& root) {
@@ -245,6 +248,16 @@ void add(Data& data, Pack pack, const Protocol& protocol) {
   data.protocols.push_back(protocol);
 }
 
+void add_rendered(Data& data, Rendering rendering, const RenderedUse& use) {
+  if (use.frames == 0) return;
+  ScenePackOptions options;
+  options.rendering = rendering;
+  options.train_frames = use.frames;
+  options.wide_share = use.wide_share;
+  options.tall_share = use.tall_share;
+  add(data, rendered_pack(options), *protocol_named("scene"));
+}
+
 // Packs of the user's own need no catalogue.
 Result<Catalogue> catalogue_for(const DataOptions& options) {
   if (!options.packs.empty()) {
@@ -284,27 +297,13 @@ void add_data_options(CLI::App& command, DataOptions& options) {
   command
       .add_option("--scene-frames", options.scene_frames,
                   "Rendered training frames of each kind, instead of the catalogue's number")
-      ->check(CLI::NonNegativeNumber);
+      ->check(CLI::Range(std::size_t{0}, kMostRenderedFrames));
   command
       .add_option("--pack", options.packs,
                   "Train on this pack (rgb/, depth/, intrinsics.json) instead of the catalogue's; "
                   "may be given again")
       ->check(CLI::ExistingDirectory);
 }
-
-namespace {
-
-void add_rendered(Data& data, Rendering rendering, const RenderedUse& use) {
-  if (use.frames == 0) return;
-  ScenePackOptions options;
-  options.rendering = rendering;
-  options.train_frames = use.frames;
-  options.wide_share = use.wide_share;
-  options.tall_share = use.tall_share;
-  add(data, rendered_pack(options), *protocol_named("scene"));
-}
-
-}  // namespace
 
 Result<Data> load_training_data(const DataOptions& options) {
   const Result<Catalogue> catalogue = catalogue_for(options);

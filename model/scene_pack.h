@@ -24,6 +24,9 @@ struct ScenePackOptions {
 // rendered whenever they are read. The sky's depth is kSkyDepth.
 Pack rendered_pack(const ScenePackOptions& options);
 
+// More training frames than these would show the worlds that validate.
+inline constexpr std::size_t kMostRenderedFrames = 4 * (900000 - 1000);
+
 // Metres: far beyond what the network can say, so that it learns "farthest".
 inline constexpr float kSkyDepth = 1000;
 

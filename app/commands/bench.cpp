@@ -208,14 +208,16 @@ void add_bench_command(CLI::App& program, int& exit_code) {
   command->add_option("--size", options->size, "Network input, multiples of 32 (default: 640x192)")
       ->type_name("WxH");
   auto* json = command->add_flag("--json", options->json, "Print JSON");
-  command
-      ->add_flag("--profile", options->profile,
-                 "Print where the time goes: layer by layer, beside the processor's limit")
-      ->excludes(json);
+  auto* profile =
+      command
+          ->add_flag("--profile", options->profile,
+                     "Print where the time goes: layer by layer, beside the processor's limit")
+          ->excludes(json);
   command
       ->add_flag("--kernels", options->kernels,
                  "Instead time each kernel with each instruction set, beside the machine's limits")
-      ->excludes(json);
+      ->excludes(json)
+      ->excludes(profile);
   options->common.add_to(*command);
   command->callback([options, &exit_code] { exit_code = bench(*options); });
 }

@@ -100,7 +100,7 @@ void print_node(const Probed& probed) {
                                                 ? ("name=" + node.card).c_str()
                                                 : ("serial=" + node.serial).c_str());
   for (const V4l2Mode& mode : probed.modes) print_mode(mode);
-  if (probed.shares_buffers == true) std::printf("    buffers can be had as dma-bufs\n");
+  if (probed.shares_buffers.value_or(false)) std::printf("    buffers can be had as dma-bufs\n");
 }
 
 nlohmann::json mode_json(const V4l2Mode& mode) {

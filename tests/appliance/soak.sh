@@ -44,7 +44,7 @@ counters() {
 }
 
 # What a command answers says nothing: v4l2-ctl fails when the device goes under it. That the faults
-# were felt shows in the counters printed at the end.
+# were felt shows in the counters.
 quietly() { "$@" >/dev/null 2>&1 || true; }
 
 # suffer FAULT: brings it about and waits until two more depths have come, $took ms after its end.
@@ -62,6 +62,8 @@ suffer() {
 # soak NAME NOTHING FAULT...: $minutes of the faults, in random order; NOTHING is none, done like one.
 soak() {
   local name=$1 nothing=$2 faults=("${@:3}") fault count=0 longest=0 still=0 pid rss fds rss_end fds_end
+  local damaged
+  damaged=$(status .frames.corrupt)
   # Each kind once before the first look: what is made at first use is no leak.
   for fault in "${faults[@]}"; do suffer "$fault"; done
   for _ in 1 2 3; do
@@ -86,6 +88,7 @@ soak() {
     fail "depth was away for more than $((limit_s * patience)) s"
   ((rss_end <= rss + rss / 20)) || fail 'memory grows'
   ((fds_end <= fds)) || fail 'open files grow'
+  (($(status .frames.corrupt) > damaged)) || fail 'no damaged frame was felt'
   [[ $(process) == "$pid" ]] || fail 'the service was restarted'
 }
 failed=false

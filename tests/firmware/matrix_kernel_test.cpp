@@ -319,7 +319,5 @@ TEST(MatrixKernel, ActivationsAreAccurateOverTheirWholeRange) {
   });
 }
 
-// ---- attention ----
-
 }  // namespace
 }  // namespace lcdm::kernels

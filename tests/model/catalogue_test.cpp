@@ -70,6 +70,8 @@ TEST_F(CatalogueTest, FaultsNameLineAndCure) {
   expect_fault("[[train]]\npath = \"a\"\nteacher = \"guess\"", "one of maps, none, sensor");
   expect_fault("[[train]]\npath = \"a\"\nprotocol = \"x\"", "is no protocol");
   expect_fault("[[train]]\ntrust = 1", "has no path");
+  expect_fault("[medley]\nframes = -1", "frames must be a number, 0 or more");
+  expect_fault("[medley]\nframes = 1e8", "more would show the worlds that validate");
   expect_fault("[train]\npath = \"a\"", "write [[train]]");
   expect_fault("[[train]\n", "lcdm-catalogue.toml");
   EXPECT_EQ(read_catalogue("no/such.toml").code(), StatusCode::kNotFound);
