@@ -77,9 +77,10 @@ class Engine {
                                                  const FrameFormat& format,
                                                  const CameraModel& camera);
 
-  // Depth of one frame, into `out` of the network's size. The same bytes for the same frame,
-  // whatever the number of threads; nothing is allocated. kInvalidInput: the frame is not of the
-  // prepared format, is short, or `out` has another size; `out` is then untouched.
+  // Depth of one frame, into `out` of the network's size; the outermost four pixels repeat those
+  // inside. The same bytes for the same frame, whatever the number of threads; nothing is
+  // allocated. kInvalidInput: the frame is not of the prepared format, is short, or `out` has
+  // another size; `out` is then untouched.
   Status run(const FrameView& frame, const DepthBuffer& out) noexcept;
 
   // As run, and adds the nanoseconds of its parts to `profile`.

@@ -1,6 +1,7 @@
 // The engine as the pipeline uses it: frames in, depth out, the same bytes, no allocation.
 #include "firmware/nn/engine.h"
 
+#include <algorithm>
 #include <cmath>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -165,6 +166,22 @@ TEST(Engine, ShowsAPinholesViewOfADistortedPictureAndSaysWhich) {
   lens.width = 300;
   EXPECT_THAT(Engine::prepare(model, {64, 64}, kFormat, lens).status().text(),
               HasSubstr("300x110"));
+}
+
+TEST(Engine, TheOutermostFourPixelsRepeatThoseInside) {
+  const auto engine = prepare(make_model(), {96, 64, 1, true});
+  Bench bench;
+  ASSERT_TRUE(bench.run(*engine));
+  const auto computed = engine->tensor("depth");
+  ASSERT_TRUE(computed) << computed.status().text();
+  for (int y = 0; y < 64; ++y) {
+    for (int x = 0; x < 96; ++x) {
+      const int inside = std::clamp(y, 4, 59) * 96 + std::clamp(x, 4, 91);
+      const int here = y * 96 + x;
+      ASSERT_EQ(bench.metres[here], (*computed)[inside]) << x << ", " << y;
+      ASSERT_EQ(bench.millimetres[here], bench.millimetres[inside]);
+    }
+  }
 }
 
 TEST(Engine, MillimetresAreTheMetresRounded) {
