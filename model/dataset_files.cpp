@@ -172,6 +172,17 @@ bool matches(std::string_view text, std::string_view pattern) {
                     [](char c, char p) { return p == '#' ? c >= '0' && c <= '9' : c == p; });
 }
 
+std::vector<std::string_view> split(std::string_view text, std::string_view separators) {
+  std::vector<std::string_view> parts;
+  std::size_t at = 0;
+  while ((at = text.find_first_not_of(separators, at)) != std::string_view::npos) {
+    const std::size_t end = std::min(text.find_first_of(separators, at), text.size());
+    parts.push_back(text.substr(at, end - at));
+    at = end;
+  }
+  return parts;
+}
+
 cv::Mat reduced(const cv::Mat& rgb, int max_width) {
   if (rgb.cols <= max_width) return rgb;
   const int height = std::max(1, cvRound(static_cast<double>(rgb.rows) * max_width / rgb.cols));

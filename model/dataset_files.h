@@ -2,14 +2,17 @@
 // errors name the file: kNotFound where it is missing, kCorrupt or kUnsupported for its content.
 #pragma once
 
+#include <charconv>
 #include <cstddef>
 #include <exception>
 #include <filesystem>
 #include <memory>
 #include <new>
 #include <opencv2/core.hpp>
+#include <optional>
 #include <string>
 #include <string_view>
+#include <system_error>
 #include <vector>
 
 #include "firmware/base/status.h"
@@ -28,6 +31,17 @@ Result<cv::Mat> read_depth(const std::filesystem::path& file, double unit);
 std::vector<std::string> names_in(const std::filesystem::path& folder);
 // Whether `text` looks like `pattern`, in which '#' stands for a digit.
 bool matches(std::string_view text, std::string_view pattern);
+
+// The parts of `text` between any of `separators`; none is empty.
+std::vector<std::string_view> split(std::string_view text, std::string_view separators);
+// The number that is the whole of `text`.
+template <typename Number>
+std::optional<Number> number_of(std::string_view text) {
+  Number value{};
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
+  return value;
+}
 
 // `rgb` of at most `max_width` columns, reduced by area.
 cv::Mat reduced(const cv::Mat& rgb, int max_width);

@@ -2,10 +2,7 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
-#include <cmath>
 #include <cstdio>
-#include <cstring>
 #include <filesystem>
 #include <map>
 #include <optional>
@@ -15,6 +12,7 @@
 #include <vector>
 
 #include "model/dataset_files.h"
+#include "model/kitti_calibration.h"
 #include "model/pack.h"
 
 namespace lcdm::model {
@@ -23,187 +21,13 @@ namespace {
 namespace fs = std::filesystem;
 using dataset::guarded;
 using dataset::matches;
+using dataset::number_of;
+using dataset::split;
 using Depth = KittiRawOptions::Depth;
 
 constexpr std::size_t kMostListBytes = 64U << 20;
-constexpr std::size_t kMostCalibrationBytes = 1U << 20;
-constexpr std::size_t kMostSweepBytes = 64U << 20;                         // sweeps have 2 MB
 constexpr double kDepthUnit = 1.0 / 256;                                   // metres
-constexpr int kMostPixels = 1 << 14;                                       // a side of a picture
 constexpr std::array<const char*, 2> kFolders = {"image_02", "image_03"};  // left, right
-
-std::vector<std::string_view> split(std::string_view text, std::string_view separators) {
-  std::vector<std::string_view> parts;
-  std::size_t at = 0;
-  while ((at = text.find_first_not_of(separators, at)) != std::string_view::npos) {
-    const std::size_t end = std::min(text.find_first_of(separators, at), text.size());
-    parts.push_back(text.substr(at, end - at));
-    at = end;
-  }
-  return parts;
-}
-
-template <typename Number>
-std::optional<Number> number_of(std::string_view text) {
-  Number value{};
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return value;
-}
-
-// ---- Calibration --------------------------------------------------------------------------------
-
-// The lines "key: numbers" of a calibration file.
-class Calibration {
- public:
-  static Result<Calibration> read(const fs::path& file);
-
-  // The `count` finite numbers of `key`.
-  Result<std::vector<double>> numbers(const std::string& key, std::size_t count) const;
-
- private:
-  std::string file_;
-  std::map<std::string, std::string> values_;
-};
-
-Result<Calibration> Calibration::read(const fs::path& file) {
-  const Result<std::string> text = dataset::read_bytes(file, kMostCalibrationBytes);
-  if (!text) return text.status();
-  Calibration out;
-  out.file_ = file.string();
-  for (const std::string_view line : split(*text, "\r\n")) {
-    const std::size_t colon = line.find(':');
-    if (colon == std::string_view::npos) continue;
-    out.values_[std::string(line.substr(0, colon))] = line.substr(colon + 1);
-  }
-  return out;
-}
-
-Result<std::vector<double>> Calibration::numbers(const std::string& key, std::size_t count) const {
-  std::vector<double> numbers;
-  const auto found = values_.find(key);
-  if (found != values_.end()) {
-    for (const std::string_view word : split(found->second, " \t")) {
-      const std::optional<double> number = number_of<double>(word);
-      numbers.push_back(number.value_or(NAN));
-    }
-  }
-  const bool finite = std::all_of(numbers.begin(), numbers.end(),
-                                  [](double number) { return std::isfinite(number); });
-  if (finite && numbers.size() == count) return numbers;
-  return Status::error(StatusCode::kCorrupt,
-                       "%s: \"%s:\" is not followed by %zu numbers: fetch the calibration again",
-                       file_.c_str(), key.c_str(), count);
-}
-
-// One colour camera on one day.
-struct Camera {
-  CameraModel model;
-  cv::Matx34d from_scanner;  // homogeneous point of the velodyne to pixel times depth, and depth
-};
-
-Result<CameraModel> model_of(const std::vector<double>& size, const std::vector<double>& projection,
-                             const fs::path& file) {
-  const bool sizes = size[0] >= 1 && size[0] <= kMostPixels && size[1] >= 1 &&
-                     size[1] <= kMostPixels && std::floor(size[0]) == size[0] &&
-                     std::floor(size[1]) == size[1];
-  if (!sizes || projection[0] <= 0 || projection[5] <= 0) {
-    return Status::error(StatusCode::kCorrupt,
-                         "%s: S_rect or P_rect describe no camera: fetch the calibration again",
-                         file.c_str());
-  }
-  return CameraModel{static_cast<int>(size[0]),
-                     static_cast<int>(size[1]),
-                     static_cast<float>(projection[0]),
-                     static_cast<float>(projection[5]),
-                     static_cast<float>(projection[2]),
-                     static_cast<float>(projection[6]),
-                     true};
-}
-
-// Into the frame of the rectified reference camera: R_rect_00 [R | T].
-Result<cv::Matx44d> rectified_from_scanner(const Calibration& cameras, const fs::path& date) {
-  const Result<Calibration> scanner = Calibration::read(date / "calib_velo_to_cam.txt");
-  if (!scanner) return scanner.status();
-  const auto r = scanner->numbers("R", 9);
-  if (!r) return r.status();
-  const auto t = scanner->numbers("T", 3);
-  if (!t) return t.status();
-  const auto rect = cameras.numbers("R_rect_00", 9);
-  if (!rect) return rect.status();
-  cv::Matx44d to_camera = cv::Matx44d::eye();
-  cv::Matx44d rectify = cv::Matx44d::eye();
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) {
-      to_camera(i, j) = (*r)[static_cast<std::size_t>(3 * i + j)];
-      rectify(i, j) = (*rect)[static_cast<std::size_t>(3 * i + j)];
-    }
-    to_camera(i, 3) = (*t)[static_cast<std::size_t>(i)];
-  }
-  return rectify * to_camera;
-}
-
-using Cameras = std::array<Camera, 2>;  // left, right
-
-Result<Cameras> read_cameras(const fs::path& date, bool with_scanner) {
-  const fs::path file = date / "calib_cam_to_cam.txt";
-  const Result<Calibration> calibration = Calibration::read(file);
-  if (!calibration) return calibration.status();
-  cv::Matx44d scanner = cv::Matx44d::eye();
-  if (with_scanner) {
-    const auto found = rectified_from_scanner(*calibration, date);
-    if (!found) return found.status();
-    scanner = *found;
-  }
-  Cameras cameras;
-  for (std::size_t side = 0; side < cameras.size(); ++side) {
-    const std::string suffix = side == 0 ? "_rect_02" : "_rect_03";
-    const auto size = calibration->numbers("S" + suffix, 2);
-    if (!size) return size.status();
-    const auto projection = calibration->numbers("P" + suffix, 12);
-    if (!projection) return projection.status();
-    const Result<CameraModel> model = model_of(*size, *projection, file);
-    if (!model) return model.status();
-    cameras[side] = {*model, cv::Matx34d(projection->data()) * scanner};
-  }
-  return cameras;
-}
-
-// ---- Velodyne -----------------------------------------------------------------------------------
-
-// Depth [height][width] of a sweep, as monodepth2 and, before it, Eigen's and Garg's evaluations
-// make it: the projection rounded half to even, minus one (the development kit counts pixels from
-// 1), the nearest point of a pixel. Theirs also mixes the last column of a row with the first of
-// the next, an oversight in their indices that the evaluation's crop hides; it is not repeated.
-cv::Mat project_sweep(const std::string& bytes, const Camera& camera, bool scanner_depth) {
-  cv::Mat depth = cv::Mat::zeros(camera.model.height, camera.model.width, CV_32F);
-  for (std::size_t at = 0; at + 16 <= bytes.size(); at += 16) {
-    std::array<float, 4> point;  // forward, left, up, reflectance
-    std::memcpy(point.data(), bytes.data() + at, sizeof(point));
-    const cv::Vec3d pixel = camera.from_scanner * cv::Vec4d(static_cast<double>(point[0]),
-                                                            static_cast<double>(point[1]),
-                                                            static_cast<double>(point[2]), 1);
-    if (!(point[0] >= 0 && pixel[2] > 0)) continue;  // behind, or not a number
-    const double x = std::nearbyint(pixel[0] / pixel[2]) - 1;
-    const double y = std::nearbyint(pixel[1] / pixel[2]) - 1;
-    if (!(x >= 0 && y >= 0 && x < depth.cols && y < depth.rows)) continue;
-    float& nearest = depth.at<float>(static_cast<int>(y), static_cast<int>(x));
-    const float value = scanner_depth ? point[0] : static_cast<float>(pixel[2]);
-    if (nearest <= 0 || value < nearest) nearest = value;
-  }
-  return depth;
-}
-
-Result<cv::Mat> read_sweep(const fs::path& file, const Camera& camera, bool scanner_depth) {
-  const Result<std::string> bytes = dataset::read_bytes(file, kMostSweepBytes);
-  if (!bytes) return bytes.status();
-  if (bytes->size() % 16 != 0) {
-    return Status::error(StatusCode::kCorrupt,
-                         "%s: %zu bytes are no whole points of 16: cut short, fetch it again",
-                         file.c_str(), bytes->size());
-  }
-  return project_sweep(*bytes, camera, scanner_depth);
-}
 
 // ---- Lists and folders --------------------------------------------------------------------------
 
@@ -241,7 +65,7 @@ std::map<std::int64_t, bool> find_pictures(const fs::path& folder) {
 struct Opened {
   std::vector<Drive> drives;
   std::vector<Listed> frames;
-  std::map<std::string, Cameras> cameras;  // by date
+  std::map<std::string, KittiCameras> cameras;  // by date
 };
 
 // A list's line, without its drive's index; nothing where it is malformed.
@@ -353,7 +177,7 @@ class KittiRawFrames final : public Frames {
 
  private:
   const Drive& drive_of(const Listed& frame) const { return opened_.drives[frame.drive]; }
-  const Camera& camera_of(const Listed& frame) const {
+  const KittiCamera& camera_of(const Listed& frame) const {
     return opened_.cameras.at(drive_of(frame).date)[frame.side];
   }
   fs::path folder_of(const Drive& drive) const {
@@ -397,9 +221,9 @@ Result<cv::Mat> KittiRawFrames::depth_of(const Listed& frame, cv::Size size) con
     case Depth::kNone:
       break;
     case Depth::kVelodyne: {
-      const Result<cv::Mat> full =
-          read_sweep(folder_of(drive) / "velodyne_points" / "data" / numbered(frame.number, ".bin"),
-                     camera_of(frame), options_.scanner_depth);
+      const Result<cv::Mat> full = read_kitti_sweep(
+          folder_of(drive) / "velodyne_points" / "data" / numbered(frame.number, ".bin"),
+          camera_of(frame), options_.scanner_depth);
       if (!full) return full.status();
       return dataset::reduce_sparse(*full, size);
     }
@@ -450,8 +274,8 @@ Result<std::shared_ptr<const Frames>> open_checked(const KittiRawOptions& option
   LCDM_RETURN_IF_ERROR(read_list(options.list, opened));
   for (const Drive& drive : opened.drives) {
     if (opened.cameras.contains(drive.date)) continue;
-    const Result<Cameras> cameras =
-        read_cameras(fs::path(options.root) / drive.date, options.depth == Depth::kVelodyne);
+    const Result<KittiCameras> cameras =
+        read_kitti_cameras(fs::path(options.root) / drive.date, options.depth == Depth::kVelodyne);
     if (!cameras) return cameras.status();
     opened.cameras[drive.date] = *cameras;
   }
