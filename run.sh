@@ -10,7 +10,7 @@
 #
 # Everything after the source goes to `lcdm run`: ./run.sh scene: --listen 0.0.0.0
 set -euo pipefail
-cd "$(dirname "$0")"
+root=$(dirname "$(realpath "$0")")
 
 case ${1:-} in
   -h | --help)
@@ -25,7 +25,10 @@ if [[ ${1:-} == *:* ]]; then
   shift
 fi
 
-systemd/install-packages.sh run
-[[ -f build/release/build.ninja ]] || cmake --preset release
-cmake --build --preset release
-exec build/release/bin/lcdm run "${source[@]}" "$@"
+(
+  cd "$root"
+  systemd/install-packages.sh run
+  [[ -f build/release/build.ninja ]] || cmake --preset release
+  cmake --build --preset release
+)
+exec "$root/build/release/bin/lcdm" run "${source[@]}" "$@"

@@ -2,6 +2,7 @@
 
 #include <arpa/inet.h>
 #include <cerrno>
+#include <civetweb.h>
 #include <cstdint>
 #include <optional>
 #include <sys/socket.h>
@@ -39,6 +40,9 @@ bool is_numeric_address(const std::string& text) { return parse(text, 0).has_val
 int bind_error(const std::string& address, int port) {
   const auto parsed = parse(address, port);
   if (!parsed) return EINVAL;
+  if (parsed->storage.ss_family == AF_INET6 && mg_check_feature(MG_FEATURES_IPV6) == 0) {
+    return EAFNOSUPPORT;
+  }
   const int fd = socket(parsed->storage.ss_family, SOCK_STREAM | SOCK_CLOEXEC, 0);
   if (fd < 0) return errno;
   const int yes = 1;

@@ -83,12 +83,26 @@ CaptureRequest capture_request(const Config& config) {
   return request;
 }
 
-void settle_source(Config& config) {
-  if (config.camera.source != "auto") return;
-  config.camera.source = choose_source(capture_request(config), [](const std::string& line) {
-    std::printf("%s\n", line.c_str());
-    std::fflush(stdout);
-  });
+Status settle_source(Config& config) {
+  if (config.camera.source != "auto") return Status::ok();
+  std::string rejected;
+  const Result<std::string> found = find_camera(capture_request(config), rejected);
+  if (!found) {
+    return Status::error(found.code(), "%s: plug one in, or name another source (--source)",
+                         found.status().text());
+  }
+  if (!rejected.empty()) std::printf("rejected: %s\n", rejected.c_str());
+  std::fflush(stdout);
+  config.camera.source = *found;
+  return Status::ok();
+}
+
+void settle_source_or_scene(Config& config) {
+  const Status found = settle_source(config);
+  if (found) return;
+  std::printf("%s; showing the rendered scene\n", found.text());
+  std::fflush(stdout);
+  config.camera.source = "scene:";
 }
 
 Result<OpenedSource> open_source(const Config& config, const std::string& uri, Playback playback) {

@@ -33,8 +33,10 @@ Result<ModelFile> load_model(const Config& config);
 
 EngineOptions engine_options(const Config& config);
 CaptureRequest capture_request(const Config& config);
-// `auto` becomes what it stands for now; how it was found is printed.
-void settle_source(Config& config);
+// `auto` becomes the first camera that delivers; how it was found is printed. kNotFound: none does.
+Status settle_source(Config& config);
+// As settle_source, but where there is no camera the rendered scene is shown.
+void settle_source_or_scene(Config& config);
 // The source of `uri`, with the configured calibration. kInvalidInput also: the calibration's file.
 Result<OpenedSource> open_source(const Config& config, const std::string& uri, Playback playback);
 RecorderOptions recorder_options(const Config& config);

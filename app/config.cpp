@@ -29,8 +29,9 @@ const char* addresses_objection(const std::string& text) {
   if (!addresses.empty() && std::all_of(addresses.begin(), addresses.end(), is_numeric_address)) {
     return nullptr;
   }
-  return "is no numeric address: use 127.0.0.1 (this machine only), 0.0.0.0 or :: (everybody), or "
-         "several with commas between";
+  return "is no numeric address: use 127.0.0.1 (this machine only), 0.0.0.0 (everybody), or "
+         "several "
+         "with commas between";
 }
 
 const char* line_objection(const std::string& text) {
@@ -54,6 +55,10 @@ std::string plain(double number) {
 // The one way in for every value, whatever it came from.
 Status assign(const ConfigField& field, const std::string& place, const std::string& text) {
   if (auto* const* string = std::get_if<std::string*>(&field.place)) {
+    if (std::any_of(text.begin(), text.end(),
+                    [](char c) { return static_cast<unsigned char>(c) < 0x20; })) {
+      return fault(place, name_of(field) + " holds a control character: take it out");
+    }
     const char* objection = field.objection == nullptr ? nullptr : field.objection(text);
     if (objection != nullptr)
       return fault(place, name_of(field) + " = \"" + text + "\" " + objection);

@@ -12,7 +12,10 @@
 #include <unistd.h>
 
 #include "app/address.h"
+#include "app/calibration_file.h"
 #include "app/common_options.h"
+#include "app/http_token.h"
+#include "drivers/folder.h"
 #include "drivers/v4l2_device.h"
 
 namespace lcdm {
@@ -97,6 +100,27 @@ std::uint64_t memory_lock_limit() {
   return limit.rlim_cur;
 }
 
+// A source that is no camera: its files must be there.
+Finding check_replayed(const std::string& source) {
+  const std::size_t colon = source.find(':');
+  std::error_code error;
+  const bool is_files = source.rfind("file:", 0) == 0 || source.rfind("mcap:", 0) == 0;
+  if (is_files && !fs::exists(source.substr(colon + 1), error)) {
+    return fault("camera", source + ": there is no such file or folder: set camera.source");
+  }
+  return well("camera", source + ": needs none");
+}
+
+Status check_token(const Config& config) {
+  return config.http.token_file.empty() ? Status::ok()
+                                        : read_token(config.http.token_file).status();
+}
+
+Status check_calibration(const Config& config) {
+  return config.camera.calibration.empty() ? Status::ok()
+                                           : read_calibration(config.camera.calibration).status();
+}
+
 }  // namespace
 
 const char* to_string(Severity severity) {
@@ -124,6 +148,9 @@ std::vector<Finding> examine(const Config& config, const std::string& root) {
   findings.push_back(check_model(config, engine_bytes));
   findings.push_back(check_memory_lock(root, memory_lock_limit(), engine_bytes));
   findings.push_back(check_disk(config.record.directory, config.record.keep_free_megabytes));
+  for (const Status& unusable : {check_token(config), check_calibration(config)}) {
+    if (!unusable) findings.push_back(fault("files", unusable.text()));
+  }
   const std::vector<std::string> addresses = listen_addresses(config.http.listen);
   for (const std::string& address : addresses) {
     findings.push_back(check_port(address, config.http.port, addresses.size() == 1));
@@ -156,7 +183,7 @@ std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std
     findings.push_back(
         warning("camera", "auto finds none and shows the rendered scene: plug one in"));
   } else if (!is_camera_source(source)) {
-    findings.push_back(well("camera", source + ": needs none"));
+    findings.push_back(check_replayed(source));
   }
   return findings;
 }
@@ -247,10 +274,11 @@ Finding check_port(const std::string& listen, int port, bool is_only) {
                                " is in use: by lcdm itself if it runs, else choose another "
                                "http.port");
   }
-  if (error == EADDRNOTAVAIL && !is_only) {
+  const bool lacking = error == EADDRNOTAVAIL || error == EAFNOSUPPORT;
+  if (lacking && !is_only) {
     return warning("port", place +
-                               ": this machine lacks that address now: lcdm leaves it out until "
-                               "it is started again");
+                               ": this machine lacks that address now, or its HTTP library IPv6: "
+                               "lcdm leaves it out until it is started again");
   }
   if (error != 0) {
     return fault("port", place + ": " + std::generic_category().message(error) +
@@ -300,12 +328,12 @@ Finding check_service(const std::string& root) {
 }
 
 Finding check_gpio(const std::string& root) {
-  std::error_code error;
   std::string chips;
-  for (const auto& entry : fs::directory_iterator(root + "/dev", error)) {
-    const std::string name = entry.path().filename().string();
+  const auto devices = list_folder(root + "/dev");
+  for (const fs::path& device : devices ? *devices : std::vector<fs::path>{}) {
+    const std::string name = device.filename().string();
     if (name.rfind("gpiochip", 0) != 0) continue;
-    if (access(entry.path().c_str(), R_OK | W_OK) != 0) {
+    if (access(device.c_str(), R_OK | W_OK) != 0) {
       return warning("gpio", "/dev/" + name + ": no permission: add this user to the group gpio");
     }
     chips += (chips.empty() ? "/dev/" : ", /dev/") + name;

@@ -36,16 +36,21 @@ Press FrontPanel::look(DeviceState state, bool alive, std::int64_t now_ns) {
   drive(heartbeat_, alive && now_ns / kHalfBeatNs % 2 == 0);
   if (!button_line_) return Press::kNone;
   const Result<bool> pressed = button_line_->get();
-  return button_.look(pressed && *pressed, now_ns);
+  if (pressed) return button_.look(*pressed, now_ns);
+  give_up(button_line_, pressed.status());
+  return Press::kNone;
 }
 
-// A line that fails is a line less.
 void FrontPanel::drive(LinePtr& line, bool active) {
   if (!line) return;
   const Status status = line->set(active);
-  if (status) return;
-  warnings_.emplace_back(status.text());
-  std::fprintf(stderr, "lcdm: warning: %s; going on without\n", status.text());
+  if (!status) give_up(line, status);
+}
+
+// A line that fails is a line less.
+void FrontPanel::give_up(LinePtr& line, const Status& why) {
+  warnings_.emplace_back(why.text());
+  std::fprintf(stderr, "lcdm: warning: %s; going on without\n", why.text());
   line.reset();
 }
 

@@ -30,6 +30,7 @@ class FrontPanel {
 
   LinePtr request(const char* key, const std::string& name, GpioUse use);
   void drive(LinePtr& line, bool active);
+  void give_up(LinePtr& line, const Status& why);
 
   std::vector<std::string> warnings_;
   LinePtr light_;

@@ -72,7 +72,8 @@ std::string bracketed(const std::string& address) {
   return address.find(':') == std::string::npos ? address : "[" + address + "]";
 }
 
-// Whether this machine has the address at this moment: others cannot be bound.
+// Whether this machine has the address at this moment, and civetweb can serve it: others cannot be
+// bound.
 bool has_address(const std::string& address) {
   const int error = bind_error(address, 0);
   return error != EADDRNOTAVAIL && error != EAFNOSUPPORT;
@@ -116,10 +117,10 @@ void for_each_socket(int port, Function&& function) {
 std::string HttpExchange::query(const char* name) const {
   const char* text = mg_get_request_info(connection_)->query_string;
   if (text == nullptr) return {};
-  char value[64];
-  const int length =
-      mg_get_var(text, std::char_traits<char>::length(text), name, value, sizeof(value));
-  return length < 0 ? std::string() : std::string(value, static_cast<std::size_t>(length));
+  std::string value(std::char_traits<char>::length(text) + 1, '\0');
+  const int length = mg_get_var(text, value.size() - 1, name, value.data(), value.size());
+  value.resize(length < 0 ? 0 : static_cast<std::size_t>(length));
+  return value;
 }
 
 bool HttpExchange::is_head_request() const {
@@ -188,11 +189,17 @@ Result<std::unique_ptr<HttpServer>> HttpServer::start(const HttpOptions& options
 }
 
 Status HttpServer::listen() {
-  // The last is kept whatever it is: its fault is told then.
-  for (auto each = options_.listen.begin(); each != options_.listen.end();) {
-    const bool keep = has_address(*each) || options_.listen.size() == 1;
-    if (!keep) left_out_.push_back(*each);
-    each = keep ? each + 1 : options_.listen.erase(each);
+  const auto first_left_out =
+      std::stable_partition(options_.listen.begin(), options_.listen.end(), has_address);
+  left_out_.assign(first_left_out, options_.listen.end());
+  options_.listen.erase(first_left_out, options_.listen.end());
+  if (options_.listen.empty()) {
+    return Status::error(
+        StatusCode::kUnavailable,
+        "http: cannot listen on %s: this machine has no such address now, or its "
+        "HTTP library (civetweb) was built without IPv6: set http.listen (--listen) to "
+        "127.0.0.1, 0.0.0.0 or an address it has",
+        places(left_out_, options_.port).c_str());
   }
   const std::string place = places(options_.listen, options_.port);
   const std::string threads = std::to_string(options_.max_clients + kShortRequestThreads);
@@ -213,7 +220,9 @@ Status HttpServer::listen() {
   mg_callbacks callbacks{};
   callbacks.begin_request = &HttpServer::begin_request;
   callbacks.log_message = &HttpServer::log_message;
+  starting_ = true;
   context_ = mg_start(&callbacks, this, settings);
+  starting_ = false;
   if (context_ == nullptr) {
     return Status::error(StatusCode::kUnavailable,
                          "http: cannot listen on %s (%s): stop the program that uses the port or "
@@ -239,10 +248,17 @@ void HttpServer::stop() {
   stopping_ = true;
   if (context_ == nullptr) return;
   std::atomic<bool> stopped{false};
-  std::thread joiner([this, &stopped] {
+  std::thread joiner;
+  try {
+    joiner = std::thread([this, &stopped] {
+      mg_stop(context_);
+      stopped = true;
+    });
+  } catch (const std::system_error&) {  // no thread to be had: in its own time, then
     mg_stop(context_);
-    stopped = true;
-  });
+    context_ = nullptr;
+    return;
+  }
   while (!stopped) {
     for_each_socket(port_, [](int descriptor) { shutdown(descriptor, SHUT_RDWR); });
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
@@ -260,8 +276,10 @@ std::string HttpServer::address() const {
 
 int HttpServer::log_message(const mg_connection* connection, const char* text) {
   auto* server = static_cast<HttpServer*>(mg_get_user_data(mg_get_context(connection)));
-  // Only while starting, on the owner's thread; later complaints are about clients.
-  if (server != nullptr && server->context_ == nullptr) server->last_complaint_ = text;
+  // Only while starting; later complaints are about clients. A client may already be there.
+  if (server == nullptr || !server->starting_) return 1;
+  const std::lock_guard lock(server->complaint_mutex_);
+  server->last_complaint_ = text;
   return 1;
 }
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <span>
 #include <string>
 #include <string_view>
@@ -115,7 +116,9 @@ class HttpServer {
   const std::vector<HttpRoute> routes_;
   std::vector<std::string> left_out_;
   std::string machine_name_;
-  std::string last_complaint_;  // of the library, while starting
+  std::atomic<bool> starting_{false};
+  std::mutex complaint_mutex_;
+  std::string last_complaint_;  // of the library, while starting; under complaint_mutex_
   mg_context* context_ = nullptr;
   int port_ = 0;
   std::atomic<int> viewers_{0};

@@ -3,9 +3,12 @@
 #include <cstdlib>
 #include <exception>
 #include <malloc.h>
+#include <new>
+#include <system_error>
 
 #include "app/commands/commands.h"
 #include "app/exit_code.h"
+#include "app/version.h"
 #include "firmware/nn/kernels/isa.h"
 
 namespace {
@@ -46,6 +49,8 @@ int main(int argc, char** argv) {
   try {
     CLI::App program("LCDM-Mono: depth from one camera", "lcdm");
     program.require_subcommand(1);
+    program.set_version_flag("--version", std::string("lcdm ") + lcdm::kVersion,
+                             "As the command version");
     int exit_code = lcdm::kExitOk;
     lcdm::add_run_command(program, exit_code);
     lcdm::add_infer_command(program, exit_code);
@@ -65,6 +70,14 @@ int main(int argc, char** argv) {
       return lcdm::kExitUsage;
     }
     return exit_code;
+  } catch (const std::bad_alloc&) {
+    std::fprintf(stderr, "lcdm: out of memory: free some, or raise the limit of this process\n");
+    return lcdm::kExitFailure;
+  } catch (const std::system_error& error) {
+    std::fprintf(stderr,
+                 "lcdm: %s: raise the limits of this process (threads: ulimit -u, TasksMax=)\n",
+                 error.what());
+    return lcdm::kExitFailure;
   } catch (const std::exception& error) {
     std::fprintf(stderr, "lcdm: %s\n", error.what());
     return lcdm::kExitFailure;

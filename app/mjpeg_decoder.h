@@ -1,4 +1,4 @@
-// The pipeline's decoder of MJPEG frames, by turbojpeg.
+// The pipeline's decoder of MJPEG frames.
 #pragma once
 
 #include <vector>

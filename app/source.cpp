@@ -107,9 +107,8 @@ Result<OpenedSource> open_source(const std::string& uri, Playback playback) {
                        kSourceForms);
 }
 
-std::string choose_source(const CaptureRequest& request,
-                          const std::function<void(const std::string&)>& say) {
-  std::string rejected;
+Result<std::string> find_camera(const CaptureRequest& request, std::string& rejected) {
+  rejected.clear();
   const auto reject = [&rejected](const std::string& reason) {
     rejected += (rejected.empty() ? "" : "; ") + reason;
   };
@@ -120,15 +119,13 @@ std::string choose_source(const CaptureRequest& request,
     }
     V4l2Camera camera(node.path);
     const Status status = try_camera(camera, request);
-    if (status) {
-      if (!rejected.empty()) say("rejected: " + rejected);
-      return "v4l2:" + node.path;
-    }
+    if (status) return "v4l2:" + node.path;
     reject(status.text());
   }
-  say((rejected.empty() ? "no camera found (no /dev/video*)" : "no usable camera: " + rejected) +
-      "; showing the rendered scene");
-  return "scene:";
+  if (rejected.empty()) {
+    return Status::error(StatusCode::kNotFound, "no camera found (no /dev/video*)");
+  }
+  return Status::error(StatusCode::kNotFound, "no usable camera: %s", rejected.c_str());
 }
 
 }  // namespace lcdm

@@ -1,7 +1,6 @@
 // From a source's URI to its camera.
 #pragma once
 
-#include <functional>
 #include <memory>
 #include <string>
 
@@ -33,9 +32,8 @@ bool is_source_uri(const std::string& text);
 
 Result<OpenedSource> open_source(const std::string& uri, Playback playback);
 
-// What `auto` stands for now: the first V4L2 node that delivers a frame within 3 s, else the
-// rendered scene. Every node that is tried or rejected, and the choice, is a line for `say`.
-std::string choose_source(const CaptureRequest& request,
-                          const std::function<void(const std::string&)>& say);
+// The source of the first V4L2 node that delivers a frame within 3 s. `rejected` says why those
+// before it, if any, do not. kNotFound: there is none, with every node's reason.
+Result<std::string> find_camera(const CaptureRequest& request, std::string& rejected);
 
 }  // namespace lcdm

@@ -1,4 +1,5 @@
-// SIGINT and SIGTERM, taken by the main thread alone and when it asks.
+// SIGINT, SIGTERM and SIGHUP (the terminal was closed), taken by the main thread alone and when it
+// asks. One that is ignored at the start, as SIGHUP under nohup, stays so.
 //
 // They are blocked there and in every thread it makes. A library may have made threads before main
 // (OpenBLAS does), which do not block them: a signal that such a thread takes is sent on to main.
@@ -16,15 +17,18 @@ class StopSignals {
  public:
   StopSignals() {
     sigemptyset(&set_);
-    sigaddset(&set_, SIGINT);
-    sigaddset(&set_, SIGTERM);
-    pthread_sigmask(SIG_BLOCK, &set_, nullptr);
     main_thread() = pthread_self();
     struct sigaction action {};
     action.sa_handler = [](int signal) { pthread_kill(main_thread(), signal); };
     action.sa_flags = SA_RESTART;
-    sigaction(SIGINT, &action, nullptr);
-    sigaction(SIGTERM, &action, nullptr);
+    for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
+      struct sigaction before {};
+      sigaction(signal, nullptr, &before);
+      if (before.sa_handler == SIG_IGN) continue;
+      sigaddset(&set_, signal);
+      sigaction(signal, &action, nullptr);
+    }
+    pthread_sigmask(SIG_BLOCK, &set_, nullptr);
   }
 
   // True when one of them came within `time`.

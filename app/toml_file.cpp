@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <fstream>
 #include <sstream>
+#include <string_view>
 
 namespace lcdm {
 namespace {
@@ -20,11 +21,34 @@ std::string first_line(const std::string& what) {
   return line;
 }
 
-// Whether lists or tables lie deeper in each other than any configuration needs: the parser below
-// would use the stack for each. Lines of comment do not count, unless there are strings of several
-// lines, in which such a line may be something else.
+constexpr int kDeepest = 16;  // lists and tables in each other: more than any configuration needs
+
+// The most dots of one dotted key in `line`: a table in a table each. Those in quotes are none,
+// where `quotes` can be told.
+int most_dots(const std::string& line, bool quotes) {
+  int dots = 0;
+  int most = 0;
+  char quote = 0;
+  for (std::size_t i = 0; i < line.size(); ++i) {
+    const char c = line[i];
+    if (quote != 0) {
+      if (c == '\\' && quote == '"') ++i;
+      if (c == quote) quote = 0;
+    } else if (quotes && (c == '"' || c == '\'')) {
+      quote = c;
+    } else if (c == '.') {
+      most = std::max(most, ++dots);
+    } else if (std::string_view(",=[]{}").find(c) != std::string_view::npos) {
+      dots = 0;
+    }
+  }
+  return most;
+}
+
+// Whether lists or tables lie deeper in each other than kDeepest: the parser below would use the
+// stack for each. Lines of comment do not count, unless there are strings of several lines, in
+// which such a line may be something else.
 bool nests_too_deep(const std::string& text) {
-  constexpr int kDeepest = 16;
   const bool long_strings =
       text.find("\"\"\"") != std::string::npos || text.find("'''") != std::string::npos;
   std::istringstream lines(text);
@@ -32,6 +56,7 @@ bool nests_too_deep(const std::string& text) {
   for (std::string line; std::getline(lines, line);) {
     const std::size_t first = line.find_first_not_of(" \t");
     if (first == std::string::npos || (line[first] == '#' && !long_strings)) continue;
+    if (most_dots(line, !long_strings) > kDeepest) return true;
     for (const char c : line) {
       if (c == '[' || c == '{') ++depth;
       if (c == ']' || c == '}') --depth;

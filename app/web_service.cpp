@@ -172,7 +172,8 @@ std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view, Reco
                      [parts, handler](HttpExchange& exchange) { handler(*parts, exchange); }};
   };
   const auto action = [&](const char* path, auto handler) {
-    return HttpRoute{path, "POST", HttpStay::kShort,
+    // The disk may let the recorder wait.
+    return HttpRoute{path, "POST", HttpStay::kWaits,
                      [parts, handler](HttpExchange& exchange) { handler(*parts, exchange); }};
   };
   return {

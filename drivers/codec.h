@@ -46,6 +46,9 @@ class JpegDecoder {
   JpegDecoder(JpegDecoder&&) noexcept;
   JpegDecoder& operator=(JpegDecoder&&) noexcept;
 
+  // A picture's size by its header, as the format of a Motion-JPEG frame. kCorrupt: no JPEG.
+  static Result<FrameFormat> format_of(std::span<const std::uint8_t> jpeg);
+
   Status prepare(int width, int height);
   // `jpeg`: untrusted; Motion-JPEG frames without Huffman tables are understood. `rgb`: the
   // prepared height * width * 3 bytes. kCorrupt: broken, cut short or of another size; what is then

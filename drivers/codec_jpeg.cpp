@@ -307,9 +307,20 @@ struct JpegDecoder::State {
   State(const State&) = delete;
   State& operator=(const State&) = delete;
 
+  // Up to the first scan; the size alone.
+  Status read_header();
   Status check_header() const;
   Status decompress();
 };
+
+Status JpegDecoder::State::read_header() {
+  if (setjmp(around.failed) != 0) {  // NOLINT(cert-err52-cpp): libjpeg's way of reporting errors
+    return Status::error(StatusCode::kCorrupt, "jpeg: %s", around.message);
+  }
+  jpeg_mem_src(&info, jpeg.data(), static_cast<unsigned long>(jpeg.size()));
+  jpeg_read_header(&info, TRUE);
+  return Status::ok();
+}
 
 Status JpegDecoder::State::check_header() const {
   if (info.image_width != static_cast<JDIMENSION>(width) ||
@@ -377,6 +388,15 @@ Status JpegDecoder::decode(std::span<const std::uint8_t> jpeg,
   state_->rgb = rgb.data();
   state_->around.damaged = false;
   return state_->decompress();
+}
+
+Result<FrameFormat> JpegDecoder::format_of(std::span<const std::uint8_t> jpeg) {
+  if (jpeg.empty()) return Status::error(StatusCode::kCorrupt, "jpeg: no bytes");
+  State state;
+  state.jpeg = jpeg;
+  LCDM_RETURN_IF_ERROR(state.read_header());
+  return FrameFormat{PixelFormat::kMjpeg, static_cast<int>(state.info.image_width),
+                     static_cast<int>(state.info.image_height), 0};
 }
 
 }  // namespace lcdm

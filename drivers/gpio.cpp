@@ -6,6 +6,7 @@
 #include <system_error>
 #include <vector>
 
+#include "drivers/folder.h"
 #include "drivers/gpio_chip.h"
 
 namespace lcdm {
@@ -14,11 +15,11 @@ namespace {
 // /dev/gpiochip0, 1, ... in the order of their numbers.
 std::vector<std::string> chip_devices() {
   constexpr const char* kPrefix = "/dev/gpiochip";
+  const auto all = list_folder("/dev");
+  if (!all) return {};
   std::vector<std::string> devices;
-  std::error_code error;
-  for (const auto& entry : std::filesystem::directory_iterator("/dev", error)) {
-    const std::string path = entry.path().string();
-    if (path.rfind(kPrefix, 0) == 0) devices.push_back(path);
+  for (const std::filesystem::path& path : *all) {
+    if (path.string().rfind(kPrefix, 0) == 0) devices.push_back(path.string());
   }
   std::sort(devices.begin(), devices.end(), [](const std::string& a, const std::string& b) {
     return a.size() != b.size() ? a.size() < b.size() : a < b;

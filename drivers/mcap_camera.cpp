@@ -5,8 +5,9 @@
 #include <filesystem>
 #include <system_error>
 #include <thread>
-#include <turbojpeg.h>
 
+#include "drivers/codec.h"
+#include "drivers/folder.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {
@@ -17,15 +18,19 @@ constexpr std::size_t kMaxJpeg = 16U << 20;
 constexpr int kMaxSide = 8192;
 // Live playback does not sit out longer pauses, nor a clock that was set back.
 constexpr std::int64_t kLongestPauseNs = 2'000'000'000;
+// Nor does it play faster than any camera, whatever the stamps say: one frame alone would be played
+// over and over.
+constexpr std::int64_t kShortestStepNs = 5'000'000;
 
 Result<std::vector<std::string>> find_segments(const std::string& path) {
   std::error_code error;
   std::vector<std::string> segments;
   if (fs::is_directory(path, error)) {
-    for (const auto& entry : fs::directory_iterator(path, error)) {
-      if (entry.path().extension() == ".mcap") segments.push_back(entry.path().string());
+    const auto files = list_folder(path);
+    if (!files) return files.status();
+    for (const fs::path& file : *files) {
+      if (file.extension() == ".mcap") segments.push_back(file.string());
     }
-    std::sort(segments.begin(), segments.end());
   } else if (fs::exists(path, error)) {
     segments.push_back(path);
   }
@@ -35,22 +40,6 @@ Result<std::vector<std::string>> find_segments(const std::string& path) {
                          path.c_str());
   }
   return segments;
-}
-
-// Width and height of a JPEG from its header; 0 x 0 when it is none.
-FrameFormat jpeg_format(std::span<const std::byte> jpeg) {
-  FrameFormat format{PixelFormat::kMjpeg, 0, 0, 0};
-  tjhandle handle = tjInitDecompress();
-  if (handle == nullptr) return format;
-  int subsampling = 0;
-  int colourspace = 0;
-  const auto* data = reinterpret_cast<const unsigned char*>(jpeg.data());
-  if (tjDecompressHeader3(handle, data, static_cast<unsigned long>(jpeg.size()), &format.width,
-                          &format.height, &subsampling, &colourspace) != 0) {
-    format.width = format.height = 0;
-  }
-  tjDestroy(handle);
-  return format;
 }
 
 }  // namespace
@@ -110,7 +99,8 @@ Result<CapturedFrame> McapCamera::dequeue(std::chrono::milliseconds timeout) {
       play_origin_ns_ = due;
       recorded_origin_ns_ = pending_meta_.unix_ns;
     }
-    due = play_origin_ns_ + (pending_meta_.unix_ns - recorded_origin_ns_);
+    due = std::max(play_origin_ns_ + (pending_meta_.unix_ns - recorded_origin_ns_),
+                   last_due_ns_ + kShortestStepNs);
   }
   const std::int64_t deadline =
       os::monotonic_ns() + std::chrono::duration_cast<std::chrono::nanoseconds>(timeout).count();
@@ -122,6 +112,7 @@ Result<CapturedFrame> McapCamera::dequeue(std::chrono::milliseconds timeout) {
   }
 
   slot->free = false;
+  last_due_ns_ = due;
   std::swap(slot->jpeg, pending_);
   has_pending_ = false;
   round_delivered_ = true;
@@ -239,11 +230,13 @@ Status McapCamera::inspect_first_frame(float assumed_field_of_view) {
     return Status::error(StatusCode::kInvalidInput, "mcap:%s: no JPEG pictures in it (%s)",
                          path_.c_str(), status.text());
   }
-  format_ = jpeg_format(pending_);
-  if (format_.width <= 0 || format_.height <= 0) {
-    return Status::error(StatusCode::kCorrupt, "mcap:%s: its first picture is no valid JPEG",
-                         path_.c_str());
+  const Result<FrameFormat> format = JpegDecoder::format_of(
+      {reinterpret_cast<const std::uint8_t*>(pending_.data()), pending_.size()});
+  if (!format) {
+    return Status::error(StatusCode::kCorrupt, "mcap:%s: its first picture is no valid JPEG (%s)",
+                         path_.c_str(), format.status().text());
   }
+  format_ = *format;
   if (format_.width > kMaxSide || format_.height > kMaxSide) {
     return Status::error(StatusCode::kUnsupported,
                          "mcap:%s: pictures of %dx%d: at most %d pixels a side can be used",

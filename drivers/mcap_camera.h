@@ -67,6 +67,7 @@ class McapCamera final : public Camera {
   FrameMeta pending_meta_;
   std::int64_t recorded_origin_ns_ = 0;  // Unix time of the first frame of this stretch
   std::int64_t play_origin_ns_ = 0;      // MONOTONIC time at which it was due; 0: not yet known
+  std::int64_t last_due_ns_ = 0;         // MONOTONIC time of the frame before
   std::uint64_t sequence_ = 0;
   bool round_delivered_ = false;  // this round through the recording gave at least one frame
 };

@@ -11,6 +11,8 @@
 #include <nlohmann/json.hpp>
 #include <system_error>
 
+#include "drivers/folder.h"
+
 namespace lcdm::replay {
 namespace {
 
@@ -18,6 +20,7 @@ namespace fs = std::filesystem;
 constexpr std::size_t kMaxImageBytes = 256U << 20;
 constexpr std::size_t kMaxJsonBytes = 1U << 20;
 constexpr std::uint64_t kMaxPixels = 100'000'000;
+constexpr std::uint64_t kMaxSide = 8192;  // as the engine's pre-processing
 
 using File = std::unique_ptr<std::FILE, int (*)(std::FILE*)>;
 
@@ -48,6 +51,7 @@ std::uint32_t big_endian(std::span<const std::uint8_t> bytes) {
 
 const char* size_fault(std::uint64_t width, std::uint64_t height) {
   if (width == 0 || height == 0) return "it has no size";
+  if (width > kMaxSide || height > kMaxSide) return "a side is longer than 8192 pixels";
   return width * height > kMaxPixels ? "it has over 100 megapixels" : nullptr;
 }
 
@@ -171,12 +175,12 @@ bool natural_less(std::string_view a, std::string_view b) {
 }
 
 Result<std::vector<std::string>> list_images(const std::string& folder) {
-  std::error_code error;
+  const auto files = list_folder(folder);
+  if (!files) return Status::error(files.code(), "file:%s", files.status().text());
   std::vector<std::string> names;
-  for (fs::directory_iterator i(folder, error), end; !error && i != end; i.increment(error)) {
-    if (is_image_name(i->path().filename().string())) names.push_back(i->path().string());
+  for (const fs::path& file : *files) {
+    if (is_image_name(file.filename().string())) names.push_back(file.string());
   }
-  if (error) return Status::system(error.value(), "file:%s: cannot list", folder.c_str());
   if (names.empty()) {
     return Status::error(StatusCode::kNotFound,
                          "file:%s: no images in this folder (jpg, png, bmp or tif)",

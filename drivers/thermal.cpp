@@ -7,6 +7,8 @@
 #include <optional>
 #include <system_error>
 
+#include "drivers/folder.h"
+
 namespace lcdm {
 namespace {
 
@@ -33,12 +35,12 @@ std::string read_word(const fs::path& file) {
 
 // The entries of `folder` whose names begin with `prefix`, sorted.
 std::vector<fs::path> entries(const fs::path& folder, const std::string& prefix) {
+  const auto all = list_folder(folder);
+  if (!all) return {};
   std::vector<fs::path> found;
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator(folder, error)) {
-    if (entry.path().filename().string().rfind(prefix, 0) == 0) found.push_back(entry.path());
-  }
-  std::sort(found.begin(), found.end());
+  std::copy_if(all->begin(), all->end(), std::back_inserter(found), [&](const fs::path& path) {
+    return path.filename().string().rfind(prefix, 0) == 0;
+  });
   return found;
 }
 

@@ -25,7 +25,6 @@ class V4l2Device {
   Status open(const std::string& path);
   void close();
 
-  bool is_open() const { return fd_ >= 0; }
   int fd() const { return fd_; }
   const std::string& path() const { return path_; }
   const std::string& card() const { return card_; }      // the camera's name

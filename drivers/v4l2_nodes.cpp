@@ -8,6 +8,7 @@
 #include <system_error>
 #include <utility>
 
+#include "drivers/folder.h"
 #include "drivers/v4l2_device.h"
 #include "drivers/v4l2_formats.h"
 
@@ -18,13 +19,14 @@ namespace fs = std::filesystem;
 
 std::vector<std::string> node_paths() {
   std::vector<std::pair<long, std::string>> paths;
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator("/dev", error)) {
-    const std::string name = entry.path().filename().string();
+  const auto devices = list_folder("/dev");
+  if (!devices) return {};
+  for (const fs::path& device : *devices) {
+    const std::string name = device.filename().string();
     if (name.rfind("video", 0) != 0 || name.size() == 5) continue;
     char* end = nullptr;
     const long number = std::strtol(name.c_str() + 5, &end, 10);
-    if (*end == '\0') paths.emplace_back(number, entry.path().string());
+    if (*end == '\0') paths.emplace_back(number, device.string());
   }
   std::sort(paths.begin(), paths.end());
   std::vector<std::string> sorted;

@@ -18,7 +18,7 @@ constexpr std::size_t kListedLast = 10;  // of a listed set without a split: eve
 enum class Purpose : std::uint8_t { kTrain, kTest };
 
 // Wider pictures are reduced: never for a test.
-int width_for(Purpose purpose) { return purpose == Purpose::kTrain ? 640 : 1 << 14; }
+int width_for(Purpose purpose) { return purpose == Purpose::kTrain ? 640 : kFullWidth; }
 
 // One table of the file. Every value is asked for once; what is left over is a mistake.
 class Table {

@@ -114,6 +114,7 @@ class PeerProcess {
     int from_child[2];
     LCDM_CHECK(pipe2(to_child, O_CLOEXEC) == 0 && pipe2(from_child, O_CLOEXEC) == 0);
     child_ = fork();
+    LCDM_CHECK(child_ >= 0);
     if (child_ == 0) {
       dup2(to_child[0], STDIN_FILENO);
       dup2(from_child[1], STDOUT_FILENO);

@@ -13,6 +13,7 @@
 #include <system_error>
 
 #include "drivers/codec.h"
+#include "drivers/folder.h"
 #include "drivers/replay_files.h"
 
 namespace lcdm::model::dataset {
@@ -158,12 +159,10 @@ Result<cv::Mat> read_depth(const fs::path& file, double unit) {
 }
 
 std::vector<std::string> names_in(const fs::path& folder) {
+  const auto paths = list_folder(folder);
+  if (!paths) return {};
   std::vector<std::string> names;
-  std::error_code error;
-  for (fs::directory_iterator i(folder, error), end; !error && i != end; i.increment(error)) {
-    names.push_back(i->path().filename().string());
-  }
-  std::sort(names.begin(), names.end());
+  for (const fs::path& path : *paths) names.push_back(path.filename().string());
   return names;
 }
 

@@ -19,8 +19,6 @@
 
 namespace lcdm::model::dataset {
 
-constexpr int kFullWidth = 1 << 14;  // as `max_width`: pictures are not reduced
-
 Result<std::string> read_bytes(const std::filesystem::path& file, std::size_t most_bytes);
 // A JPEG or PNG as CV_8UC3, RGB.
 Result<cv::Mat> read_rgb(const std::filesystem::path& file);

@@ -2,6 +2,7 @@
 #include <optional>
 
 #include "firmware/nn/model_file.h"
+#include "model/choice_option.h"
 #include "model/commands.h"
 #include "model/exporter.h"
 #include "model/onnx_export.h"
@@ -86,11 +87,8 @@ void add_export(CLI::App& app, Status& status) {
                       "That follows from the data, instead of the catalogue's it was trained on");
   const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
                                                    {"zeros", StartKind::kZeros}};
-  command
-      ->add_option_function<StartKind>(
-          "--start", [options](const StartKind& start) { options->start = start; },
-          "The sampler's start, where another than the training's does better on validation")
-      ->transform(CLI::CheckedTransformer(starts));
+  add_choice(*command, "--start", options->start, starts,
+             "The sampler's start, where another than the training's does better on validation");
   command->callback([options, &status] { status = run(*options); });
 }
 

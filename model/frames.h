@@ -12,6 +12,8 @@
 
 namespace lcdm::model {
 
+constexpr int kFullWidth = 1 << 14;  // as `max_width`: pictures are not reduced
+
 struct PackFrame {
   std::string name;
   cv::Mat rgb;         // CV_8UC3, RGB

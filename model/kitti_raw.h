@@ -31,7 +31,7 @@ struct KittiRawOptions {
   // depth (monodepth2 exports it so; about .27 m more). False: along the camera's optical axis.
   bool scanner_depth = true;
   // Wider pictures are reduced. Sparse depth keeps the nearest point in each pixel.
-  int max_width = 1 << 14;
+  int max_width = kFullWidth;
 };
 
 // Reads the list and the calibrations; pictures and depth only when asked for. Frames are named

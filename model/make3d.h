@@ -12,7 +12,7 @@ namespace lcdm::model {
 struct Make3dOptions {
   std::string pictures = "Test134";      // img-*.jpg
   std::string depths = "Gridlaserdata";  // depth_sph_corr-*.mat
-  int max_width = 1 << 14;               // wider pictures are reduced
+  int max_width = kFullWidth;            // wider pictures are reduced
   // Only the middle 2:1 of picture and depth, as the published protocol has it (Godard et al.
   // 2017).
   bool central = false;

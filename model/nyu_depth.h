@@ -15,7 +15,7 @@ struct NyuDepthOptions {
   // False: the sensor's depth, with its holes (`rawDepths`), as the folders have it too. True: the
   // depth whose holes the authors painted in (`depths`); only in the MATLAB file.
   bool painted = false;
-  int max_width = 1 << 14;  // wider pictures are reduced, their depth by nearest
+  int max_width = kFullWidth;  // wider pictures are reduced, their depth by nearest
 };
 
 // `root` holds either

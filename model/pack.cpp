@@ -7,6 +7,7 @@
 #include <opencv2/imgproc.hpp>
 #include <sstream>
 
+#include "drivers/folder.h"
 #include "firmware/nn/json.h"
 
 namespace lcdm::model {
@@ -32,12 +33,11 @@ Result<std::string> read_text(const fs::path& path) {
 }
 
 std::vector<fs::path> files_of(const fs::path& folder, const std::string& extension) {
+  const auto all = list_folder(folder);
+  if (!all) return {};
   std::vector<fs::path> files;
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator(folder, error)) {
-    if (entry.path().extension() == extension) files.push_back(entry.path());
-  }
-  std::sort(files.begin(), files.end());
+  std::copy_if(all->begin(), all->end(), std::back_inserter(files),
+               [&](const fs::path& file) { return file.extension() == extension; });
   return files;
 }
 

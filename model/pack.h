@@ -25,12 +25,12 @@ struct PackUse {
   Teacher teacher = Teacher::kSensor;
   float field_of_view = 0;  // horizontal degrees assumed where the intrinsics are unknown
   bool learn_intrinsics =
-      false;             // from the photometric loss; what is known or assumed is the start
-  float weight = 1;      // trust in its depth, in the losses
-  float wide_share = 0;  // how often it is drawn for batches of the wide shape
-  float tall_share = 0;  // and for those of the 4:3 shape
-  bool video = false;    // neighbouring frames are neighbours in time
-  std::string maps = "teacher_meter";  // the folder of a teacher's maps, unit 1/256 m
+      false;                     // from the photometric loss; what is known or assumed is the start
+  float weight = 1;              // trust in its depth, in the losses
+  float wide_share = 0;          // how often it is drawn for batches of the wide shape
+  float tall_share = 0;          // and for those of the 4:3 shape
+  bool video = false;            // neighbouring frames are neighbours in time
+  std::string maps = "teacher";  // the folder of a teacher's maps, unit 1/256 m
   Alignment alignment = Alignment::kNone;
 };
 

@@ -1,5 +1,7 @@
 #include "model/recipe_options.h"
 
+#include "model/choice_option.h"
+
 namespace lcdm::model {
 namespace {
 
@@ -10,12 +12,9 @@ void add_network_options(CLI::App& command, Recipe& recipe) {
                                                      {"paper", PresetKind::kPaper}};
   const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
                                                    {"zeros", StartKind::kZeros}};
-  command.add_option("--encoder", recipe.encoder, "xxs, xs or s")
-      ->transform(CLI::CheckedTransformer(encoders));
-  command.add_option("--preset", recipe.preset, "lcdm or paper")
-      ->transform(CLI::CheckedTransformer(presets));
-  command.add_option("--start", recipe.start, "Where the sampler starts: noise or zeros")
-      ->transform(CLI::CheckedTransformer(starts));
+  add_choice(command, "--encoder", recipe.encoder, encoders, "Its size");
+  add_choice(command, "--preset", recipe.preset, presets, "lcdm, or the paper's own");
+  add_choice(command, "--start", recipe.start, starts, "Where the sampler starts");
   command.add_option("--seed", recipe.seed, "Of weights, batches and noise")->capture_default_str();
 }
 

@@ -4,6 +4,7 @@
 
 #include "drivers/codec.h"
 #include "model/catalogue.h"
+#include "model/choice_option.h"
 #include "model/commands.h"
 #include "model/evaluation.h"
 #include "model/torchscript_teacher.h"
@@ -61,7 +62,7 @@ Status run(const Options& options) {
   use.name = folder.filename().string();
   use.teacher = Teacher::kNone;
   use.field_of_view = 60;  // where the pack does not know its camera
-  const Result<Pack> pack = load_pack(folder.parent_path(), use, 1 << 14);
+  const Result<Pack> pack = load_pack(folder.parent_path(), use, kFullWidth);
   if (!pack) return pack.status();
   const fs::path output = options.output.empty() ? folder / "teacher" : fs::path(options.output);
   std::size_t without = 0;
@@ -106,20 +107,16 @@ void add_teach(CLI::App& app, Status& status) {
   const std::map<std::string, TorchscriptOptions::Pixels> pixels = {
       {"unit", TorchscriptOptions::Pixels::kUnit},
       {"imagenet", TorchscriptOptions::Pixels::kImagenet}};
-  command
-      ->add_option("--pixels", options->torchscript.pixels,
-                   "How the module's pictures are scaled: unit ([0, 1]) or imagenet (mean and "
-                   "deviation)")
-      ->transform(CLI::CheckedTransformer(pixels));
+  add_choice(
+      *command, "--pixels", options->torchscript.pixels, pixels,
+      "How the module's pictures are scaled: unit ([0, 1]) or imagenet (mean and deviation)");
   const std::map<std::string, TorchscriptOptions::Gives> gives = {
       {"depth", TorchscriptOptions::Gives::kDepth},
       {"inverse", TorchscriptOptions::Gives::kInverse},
       {"affine", TorchscriptOptions::Gives::kAffineInverse}};
-  command
-      ->add_option("--gives", options->torchscript.gives,
-                   "What the module gives: depth, inverse (of depth), affine (inverse depth of "
-                   "unknown scale and shift; learn with align = \"affine\")")
-      ->transform(CLI::CheckedTransformer(gives));
+  add_choice(*command, "--gives", options->torchscript.gives, gives,
+             "What the module gives: depth, inverse (of depth), affine (inverse depth of unknown "
+             "scale and shift; learn with align = \"affine\")");
   command->callback([options, &status] { status = run(*options); });
 }
 

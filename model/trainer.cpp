@@ -83,6 +83,19 @@ Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::ve
   return Status::ok();
 }
 
+// Batches have one shape each: a shape that no pack has pictures for cannot be drawn.
+Status check_shares(const std::vector<Pack>& packs) {
+  const auto drawn = [&](float PackUse::*share) {
+    return std::any_of(packs.begin(), packs.end(), [&](const Pack& pack) {
+      return !pack.train.empty() && pack.use.*share > 0;
+    });
+  };
+  if (drawn(&PackUse::wide_share) && drawn(&PackUse::tall_share)) return Status::ok();
+  return Status::error(StatusCode::kInvalidInput,
+                       "no picture to train on for one of the two shapes: give a set of the "
+                       "catalogue a wide-share and one a tall-share");
+}
+
 }  // namespace
 
 void collect(const torch::nn::Module& network, const std::string& prefix,
@@ -121,6 +134,7 @@ Result<std::unique_ptr<Trainer>> Trainer::make(const Recipe& recipe, const std::
                            recipe.workers);
     }
   }
+  LCDM_RETURN_IF_ERROR(check_shares(packs));
   ModelConfig config = model_config_of(recipe);
   if (recipe.preset == PresetKind::kLcdm) {
     LCDM_RETURN_IF_ERROR(measure_variable(config, recipe, packs));

@@ -157,7 +157,7 @@ int calibrate(const CalibrateOptions& options) {
   Result<Config> config = options.common.load();
   if (!config) return report_unusable(config.status());
   if (!options.source.empty()) config->camera.source = options.source;
-  settle_source(*config);
+  if (const Status found = settle_source(*config); !found) return report_failure(found);
   Result<OpenedSource> source = open_source(config->camera.source, Playback::kOffline);
   if (!source) return report_failure(source.status());
   Camera& camera = *source->camera;

@@ -1,6 +1,7 @@
 // lcdm infer: depth of every frame of a source, as files.
 #include <array>
 #include <chrono>
+#include <climits>
 #include <cstdio>
 #include <cstring>
 #include <filesystem>
@@ -246,7 +247,7 @@ void add_infer_command(CLI::App& program, int& exit_code) {
   command
       ->add_option("--frames", options->frames,
                    "End after N frames (default: the source's end; scene: has none)")
-      ->check(CLI::PositiveNumber);
+      ->check(CLI::Range(1, INT_MAX));
   command->add_flag("--float", options->as_float, "Also NAME.tiff: 32-bit float metres");
   command->add_flag("--colour", options->as_colour, "Also NAME.jpg: colours, near is warm");
   options->common.add_to(*command);

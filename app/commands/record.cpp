@@ -19,6 +19,7 @@ namespace {
 using std::chrono::milliseconds;
 
 constexpr milliseconds kDequeueTimeout{200};
+constexpr double kMostSeconds = 1e9;  // 31 years
 
 struct RecordOptions {
   CommonOptions common;
@@ -74,7 +75,7 @@ int record(const RecordOptions& options) {
   const StopSignals signals;
   Result<Config> config = load(options);
   if (!config) return report_unusable(config.status());
-  settle_source(*config);
+  if (const Status found = settle_source(*config); !found) return report_failure(found);
   Result<OpenedSource> source = open_source(*config, config->camera.source, Playback::kOffline);
   if (!source) return report_failure(source.status());
   Camera& camera = *source->camera;
@@ -98,8 +99,8 @@ int record(const RecordOptions& options) {
     status = Status::error(StatusCode::kIoError, "%s", done.fault.c_str());
   }
   if (!status) return report_failure(status);
-  std::printf("%llu frames, %.1f MB%s\n", static_cast<unsigned long long>(done.frames),
-              static_cast<double>(done.bytes) * 1e-6,
+  std::printf("%llu frame%s, %.1f MB%s\n", static_cast<unsigned long long>(done.frames),
+              done.frames == 1 ? "" : "s", static_cast<double>(done.bytes) * 1e-6,
               done.dropped == 0 ? "" : (", " + std::to_string(done.dropped) + " dropped").c_str());
   return kExitOk;
 }
@@ -117,7 +118,7 @@ void add_record_command(CLI::App& program, int& exit_code) {
   command
       ->add_option("--seconds", options->seconds,
                    "How long (default: until Ctrl-C or the end of the source)")
-      ->check(CLI::PositiveNumber);
+      ->check(CLI::Range(1e-3, kMostSeconds));
   options->common.add_to(*command);
   command->callback([options, &exit_code] { exit_code = record(*options); });
 }

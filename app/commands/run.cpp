@@ -66,7 +66,7 @@ int run(const RunOptions& options) {
   const Result<HttpOptions> http = http_options(*config);
   if (!http) return report_unusable(http.status());
 
-  settle_source(*config);
+  settle_source_or_scene(*config);
   Result<OpenedSource> source = open_source(*config, config->camera.source, Playback::kLive);
   if (!source) return report_failure(source.status());
 
@@ -86,7 +86,8 @@ int run(const RunOptions& options) {
   const auto server = HttpServer::start(*http, web_routes(pipeline, view, recorder, service));
   if (!server) return report_failure(server.status());
   for (const std::string& address : (*server)->left_out()) {
-    std::fprintf(stderr, "lcdm: warning: http.listen: this machine does not have %s: left out\n",
+    std::fprintf(stderr,
+                 "lcdm: warning: http.listen: %s cannot be had on this machine now: left out\n",
                  address.c_str());
   }
 

@@ -89,13 +89,12 @@ class JsonParser {
     out.kind_ = JsonValue::Kind::kObject;
     ++at_;
     if (eat('}')) return true;
-    std::set<std::string_view> seen;  // views into text_
+    std::set<std::string> seen;
     do {
       skip_space();
-      const std::size_t begin = at_;
       std::string key;
       if (!string(key)) return false;
-      if (!seen.insert(text_.substr(begin, at_ - begin)).second) return fail("repeated key");
+      if (!seen.insert(key).second) return fail("repeated key");
       if (!eat(':')) return fail("expected ':'");
       out.keys_.push_back(std::move(key));
       if (!value(out.items_.emplace_back(), depth + 1)) return false;

@@ -25,10 +25,6 @@ class ProtobufWriter {
     tag(number, WireType::kFixed32);
     out_.u32(value);
   }
-  void double_field(int number, double value) {
-    tag(number, WireType::kFixed64);
-    raw_double(value);
-  }
   // repeated double, packed.
   void doubles_field(int number, std::span<const double> values) {
     tag(number, WireType::kLength);

@@ -197,6 +197,16 @@ TEST_F(ConfigFile, BracketsWithoutEndAreRefusedBeforeTheyEatTheStack) {
               HasSubstr("too deep in each other"));
 }
 
+TEST_F(ConfigFile, KeysOfManyPartsAreRefusedBeforeTheyEatTheStack) {
+  std::string key = "a";
+  for (int i = 0; i < 50'000; ++i) key += i % 2 == 0 ? ".a" : ".\"b\"";
+  for (const std::string& text :
+       {key + " = 1\n", "[" + key + "]\n", "camera = { x = \"\"\"\n\"\"\", " + key + " = 1 }\n"}) {
+    EXPECT_THAT(error_of(text), HasSubstr("too deep in each other"));
+  }
+  EXPECT_EQ(error_of("[camera]\nsource = \"file:../../../../../../../../../../../a\"\n"), "");
+}
+
 TEST_F(ConfigFile, BracketsInCommentsDoNotCount) {
   std::string text = "[camera]\n";
   for (int i = 0; i < 40; ++i) text += "# a share in [0, 1)\n";

@@ -41,7 +41,7 @@ HWY_INLINE TapWeights tap_weights(int at, int size) {
   return weights;
 }
 
-// Rows of the upsampled share, in order. Scratch: upsampled_scratch floats.
+// Rows of the upsampled share, in order. Scratch: UpsampledShare::scratch_floats.
 class UpsampledRows {
  public:
   // `first` is the first row that will be asked for.
