@@ -53,7 +53,9 @@ bool Pipeline::judge_silence(const Status& status) {
 // Frames come. Whether the camera works shows when they become depth.
 bool Pipeline::judge_depth() {
   if (only_corrupt_.exchange(false)) {
-    return recover(Status::error(StatusCode::kCorrupt, "frames come, but none can be decoded"));
+    alloc_watch::unseal_thread();
+    return recover(Status::error(StatusCode::kCorrupt, "frames come, but none can be decoded: %s",
+                                 fault().c_str()));
   }
   const std::int64_t depth_ns = last_depth_ns_;
   if (depth_ns != seen_depth_ns_) ladder_.note_depth(depth_ns);
