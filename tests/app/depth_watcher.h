@@ -63,11 +63,25 @@ class DepthWatcher {
   }
 
   void watch() {
+    while (!stopping_) watch_until_cut();
+  }
+
+  // The server lets us hear something every second, unless it took us for a stalled client: on a
+  // machine that did not let us read.
+  void watch_until_cut() {
+    constexpr std::int64_t kCutAfterNs = 2'500'000'000;
     RawClient client(port_);
     client.send("GET /stream.mjpg?view=depth HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
     std::string unread;
-    while (!stopping_) {
-      unread += client.read(10);
+    std::int64_t heard_ns = os::monotonic_ns();
+    while (!stopping_ && os::monotonic_ns() - heard_ns < kCutAfterNs) {
+      const std::string more = client.read(10);
+      if (more.empty()) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(1));  // at once when we are cut
+        continue;
+      }
+      heard_ns = os::monotonic_ns();
+      unread += more;
       take_stamps(unread);
     }
   }

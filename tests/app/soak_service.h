@@ -39,13 +39,13 @@ class SoakService {
   }
   int port() const { return port_; }
 
-  // What it says on its page; null when it does not answer.
+  // What it says on its page; an empty object when it does not answer.
   nlohmann::json status() {
     program_->listen();
     const std::string answer = get(port_, "/status.json");
     const std::size_t body = answer.find("\r\n\r\n");
-    if (body == std::string::npos) return {};
-    return nlohmann::json::parse(answer.substr(body), nullptr, false);
+    if (body == std::string::npos) return nlohmann::json::object();
+    return nlohmann::json::parse(answer.substr(body));
   }
   // One figure of it.
   std::int64_t figure(const char* pointer) {
