@@ -268,9 +268,7 @@ void Soak::run() {
               static_cast<long long>(resident), static_cast<long long>(resident_after), descriptors,
               descriptors_after);
   EXPECT_EQ(descriptors_after, descriptors);
-#ifndef LCDM_SANITIZED  // a sanitizer keeps what is freed
   EXPECT_LE(static_cast<double>(resident_after), kMemoryMargin * static_cast<double>(resident));
-#endif
   expect_limits_kept();
   expect_every_frame_counted();
   EXPECT_EQ(service_.stop(), 0) << service_.text();
