@@ -5,7 +5,7 @@
 #                      format
 #   ./test.sh --all    the same, then the long ones: everything under the sanitizers, clang-tidy,
 #                      g++-11, the kernels for Arm under QEMU (its libraries are 1 GB), everything of
-#                      the guest, also of one for Arm (30 minutes and more), and a longer soak
+#                      the guest, also of one for Arm (30 minutes and more), and longer soaks
 #
 # Prints how long each stage took. Stops at the first stage that fails.
 set -euo pipefail
@@ -60,6 +60,9 @@ sanitizer_subset=(wire_tests network_tests preprocess_tests engine_reference_tes
 build_subset() {
   cmake --preset "$1" >/dev/null && cmake --build --preset "$1" --target "${sanitizer_subset[@]}"
 }
+run_soak() {
+  LCDM_SOAK_SECONDS=$1 umockdev-wrapper build/trainer/bin/soak_tests --gtest_brief=1
+}
 run_subset() {
   local program
   for program in "${sanitizer_subset[@]}"; do "build/$1/bin/$program" --gtest_brief=1 || return; done
@@ -112,6 +115,7 @@ stage 'booted guest, soak' tests/appliance/soak.sh 2 --package "$package"
 stage 'sanitizer subset, build' build_subset asan
 stage 'sanitizer subset, tests' run_subset asan
 if $all; then
+  stage 'soak at real speed, long' run_soak 600
   stage 'address sanitizer build' build asan
   stage 'address sanitizer tests' run_tests asan -LE browser
   stage 'thread sanitizer build' build tsan

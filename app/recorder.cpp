@@ -276,6 +276,7 @@ void Recorder::finish(const Status& status) {
                               "it again");
   }
   file_.close();
+  writer_.reset();  // also when nobody stops a recording that ended by itself
   if (completed) return;
   const std::lock_guard lock(mutex_);
   fault_ = completed.text();

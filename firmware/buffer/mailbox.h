@@ -1,4 +1,4 @@
-// A hand-off of depth 1: the latest item wins, an item nobody took in time is dropped and counted.
+// A hand-off of depth 1: the latest item wins, an item nobody took is dropped and counted.
 #pragma once
 
 #include <chrono>
@@ -21,7 +21,7 @@ class Mailbox {
     {
       const std::lock_guard lock(mutex_);
       std::swap(slot_, overwritten);
-      if (overwritten) ++overwrites_;
+      if (overwritten) ++dropped_;
     }
     filled_.notify_one();
   }
@@ -38,6 +38,7 @@ class Mailbox {
     std::optional<T> dropped;
     const std::lock_guard lock(mutex_);
     std::swap(slot_, dropped);
+    if (dropped) ++dropped_;
   }
 
   // Wakes every waiter for good.
@@ -49,16 +50,17 @@ class Mailbox {
     filled_.notify_all();
   }
 
-  std::uint64_t overwrites() const {
+  // Items that were replaced or cleared.
+  std::uint64_t dropped() const {
     const std::lock_guard lock(mutex_);
-    return overwrites_;
+    return dropped_;
   }
 
  private:
   mutable std::mutex mutex_;
   std::condition_variable filled_;
   std::optional<T> slot_;
-  std::uint64_t overwrites_ = 0;
+  std::uint64_t dropped_ = 0;
   bool closed_ = false;
 };
 

@@ -59,6 +59,12 @@ void Health::note_captured(std::uint64_t sequence) {
   add(captured_);
 }
 
+// A frame that came damaged is no lost one: its number is passed over.
+void Health::note_damaged() {
+  ++last_captured_sequence_;
+  add(corrupt_);
+}
+
 void Health::note_reopened() {
   sequence_known_ = false;  // a source starts counting anew
   add(reopened_);

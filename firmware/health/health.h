@@ -38,7 +38,7 @@ struct HealthSnapshot {
   PipelineState state = PipelineState::kStopped;
   std::uint64_t captured = 0;  // frames the camera gave
   std::uint64_t inferred = 0;  // frames that became depth
-  std::uint64_t dropped = 0;   // frames a newer one replaced before they were used
+  std::uint64_t dropped = 0;   // frames that a newer one replaced, or a fault, before their turn
   std::uint64_t skipped = 0;   // frames that came while the processor rested
   std::uint64_t corrupt = 0;   // frames whose bytes were broken
   std::uint64_t failed = 0;    // frames the engine refused
@@ -71,7 +71,8 @@ class Health {
   void note_reopened();                                                       // capture
   void note_recovery(RecoveryRung rung);                                      // capture
   void note_reset_skipped() { add(resets_skipped_); }                         // capture
-  void note_corrupt() { add(corrupt_); }                                      // capture, infer
+  void note_damaged();                                                        // capture
+  void note_corrupt() { add(corrupt_); }                                      // infer
   void note_failed() { add(failed_); }                                        // infer
   void note_skipped() { add(skipped_); }                                      // infer
   void note_prepared(std::int64_t now_ns);                                    // infer; a beat too

@@ -113,7 +113,7 @@ void Pipeline::forward(const CapturedFrame& captured) {
   if (captured.stamp != stamp_) note_stamp(captured.stamp);
   health_.note_captured(captured.view.meta.sequence);
   mailbox_.put({pool_->lend(captured.index, captured.view), generation_});
-  health_.set_dropped(mailbox_.overwrites());
+  health_.set_dropped(mailbox_.dropped());
   if (options_.seal_capture) alloc_watch::seal_thread();  // steady from here on
 }
 
@@ -132,6 +132,7 @@ void Pipeline::give_back_returned() {
 
 void Pipeline::close_camera() {
   mailbox_.clear();
+  health_.set_dropped(mailbox_.dropped());
   wait_until_nothing_is_lent();
   camera_.stop();
 }
@@ -188,7 +189,7 @@ void Pipeline::note_fault(const Status& status) {
   if (silence < options_.no_signal_after) return;
   health_.set_state(PipelineState::kNoSignal);
   set_fault(status.text());
-  only_corrupt_ = status.code() == StatusCode::kCorrupt && silence >= options_.recover_after;
+  only_corrupt_ = status.code() == StatusCode::kCorrupt && silence >= patience();
 }
 
 // The camera was opened again: when it looks different now, the engine is made anew for it.
@@ -275,12 +276,18 @@ Status Pipeline::infer(const FrameView& captured) {
 
 void Pipeline::deliver(const DepthFrame& frame) {
   last_depth_ns_ = frame.done_ns;
+  flowed_ = true;
   for (DepthSink* sink : sinks_) sink->offer(frame);
   health_.note_inferred(frame.meta.sequence, frame.meta.sensor_ns, frame.inference_ns,
                         frame.done_ns);
   if (health_.state() == PipelineState::kStreaming) return;
   health_.set_state(PipelineState::kStreaming);
   set_fault("");
+}
+
+// How long without a good frame until something is done about it.
+milliseconds Pipeline::patience() const {
+  return flowed_ ? options_.no_signal_after : options_.recover_after;
 }
 
 // ---- any thread ---------------------------------------------------------------------------------

@@ -30,9 +30,11 @@ struct PipelineOptions {
   // False for sources whose library allocates per frame (files, recordings): the capture thread
   // then stays outside the promise not to allocate.
   bool seal_capture = true;
-  // How long without a frame until the state says `no signal`, and until something is done about
-  // it. Never less than three of the camera's frame periods.
-  std::chrono::milliseconds no_signal_after{1500};
+  // How long without a frame until the state says `no signal`; from a camera that has given depth
+  // since it was started, until something is done about it, too. With a restart depth is back
+  // within 2 s. Never less than three of the camera's frame periods, like the next.
+  std::chrono::milliseconds no_signal_after{1200};
+  // The same for one that has given none yet: many take a second or two to their first frame.
   std::chrono::milliseconds recover_after{2500};
   RecoveryOptions recovery;
   // Where the camera is plugged in; borrowed. Null: it is nothing that comes and goes, and one that
@@ -134,6 +136,7 @@ class Pipeline {
   void deliver(const DepthFrame& frame);
   void note_fault(const Status& status);
 
+  std::chrono::milliseconds patience() const;  // capture, infer
   void set_fault(const char* text);
 
   Camera& camera_;
@@ -162,6 +165,8 @@ class Pipeline {
   Status engine_status_;                        // infer thread; why there is none
   std::int64_t rest_until_ns_ = 0;              // infer thread
   std::atomic<std::int64_t> last_depth_ns_{0};  // written by the infer thread
+  // Depth has come since the camera was started. Set by infer, taken back by capture.
+  std::atomic<bool> flowed_{false};
   // Set by infer, taken by capture: no frame can be decoded.
   std::atomic<bool> only_corrupt_{false};
   std::vector<std::uint16_t> millimetres_;  // infer thread; [height * width] of depth

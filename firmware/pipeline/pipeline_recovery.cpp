@@ -29,7 +29,7 @@ bool Pipeline::survive(const Status& status) {
       health_.note_timeout();
       return judge_silence(status);
     case StatusCode::kCorrupt:
-      health_.note_corrupt();
+      health_.note_damaged();
       std::this_thread::sleep_for(kPauseAfterCorrupt);
       return judge_silence(status);
     case StatusCode::kEndOfStream:
@@ -47,13 +47,15 @@ bool Pipeline::judge_silence(const Status& status) {
   if (silence < std::max(options_.no_signal_after, three_periods_)) return true;
   health_.set_state(PipelineState::kNoSignal);
   set_fault(status.text());
-  return silence < std::max(options_.recover_after, three_periods_) || recover(status);
+  return silence < std::max(patience(), three_periods_) || recover(status);
 }
 
 // Frames come. Whether the camera works shows when they become depth.
 bool Pipeline::judge_depth() {
   if (only_corrupt_.exchange(false)) {
-    return recover(Status::error(StatusCode::kCorrupt, "frames come, but none can be decoded"));
+    alloc_watch::unseal_thread();
+    return recover(Status::error(StatusCode::kCorrupt, "frames come, but none can be decoded: %s",
+                                 fault().c_str()));
   }
   const std::int64_t depth_ns = last_depth_ns_;
   if (depth_ns != seen_depth_ns_) ladder_.note_depth(depth_ns);
@@ -81,7 +83,7 @@ bool Pipeline::recover(Status fault) {
   last_frame_ns_ = os::monotonic_ns();
   last_depth_ns_ = last_frame_ns_;  // what came before does not count against the camera now
   seen_depth_ns_ = last_frame_ns_;
-  only_corrupt_ = false;
+  flowed_ = only_corrupt_ = false;
   return true;
 }
 

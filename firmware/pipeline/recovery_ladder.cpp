@@ -16,9 +16,9 @@ void RecoveryLadder::note_depth(std::int64_t now_ns) {
 }
 
 RecoveryStep RecoveryLadder::next(StatusCode fault, std::int64_t now_ns) {
-  const bool steady = depth_since_ns_ >= 0 &&
-                      nanoseconds(last_depth_ns_ - depth_since_ns_) >= options_.steady_after;
-  if (steady) steps_ = waits_ = 0;
+  const nanoseconds depth(depth_since_ns_ < 0 ? 0 : last_depth_ns_ - depth_since_ns_);
+  if (depth >= options_.last_backoff) waits_ = 0;
+  if (depth >= options_.steady_after) steps_ = waits_ = 0;
   depth_since_ns_ = -1;
 
   if (fault == StatusCode::kNotFound || fault == StatusCode::kDeviceGone) {

@@ -11,7 +11,8 @@
 namespace lcdm {
 
 struct RecoveryOptions {
-  // The wait before a step: doubles from first to last.
+  // The wait before a step: doubles from first to last, and begins anew after depth for as long as
+  // the last one, so that even a device that fails again and again is not tried more often.
   std::chrono::milliseconds first_backoff{100};
   std::chrono::milliseconds last_backoff{1000};
   // How often the camera is reopened before its port is reset, and again after each reset.
@@ -48,7 +49,7 @@ class RecoveryLadder {
   std::int64_t last_depth_ns_;
   std::int64_t depth_since_ns_ = -1;  // without a fault; negative: none since the last one
   int steps_ = 0;                     // on devices that are there, since depth was steady
-  int waits_ = 0;                     // steps of any kind since depth was steady
+  int waits_ = 0;                     // steps of any kind since the wait began anew
 };
 
 }  // namespace lcdm

@@ -2,6 +2,8 @@
 #pragma once
 
 #include <fcntl.h>
+#include <filesystem>
+#include <fstream>
 #include <poll.h>
 #include <signal.h>
 #include <spawn.h>
@@ -54,6 +56,17 @@ class Program {
 
   pid_t pid() const { return pid_; }
   const std::string& text() const { return text_; }
+  // Its thread of this name; 0: it has none.
+  pid_t thread_of(const std::string& name) const {
+    const std::string tasks = "/proc/" + std::to_string(pid_) + "/task";
+    for (const auto& task : std::filesystem::directory_iterator(tasks)) {
+      std::ifstream file(task.path() / "comm");
+      std::string comm;
+      std::getline(file, comm);
+      if (comm == name) return std::stoi(task.path().filename().string());
+    }
+    return 0;
+  }
 
   // Reads until the text holds `wanted`. False when the program ended or the time is over.
   bool wait_for(const std::string& wanted, int seconds = 20) {
@@ -62,6 +75,11 @@ class Program {
       if (!read_more(end)) return false;
     }
     return true;
+  }
+
+  // Takes what it has said by now: one that nobody listens to stops when the pipe is full.
+  void listen() {
+    while (read_more(os::monotonic_ns() + 2'000'000)) continue;
   }
 
   // Reads until the program has ended and gives its exit status; -1 when the time is over or a

@@ -100,23 +100,12 @@ TEST_F(ServiceTest, TellsSystemdThatItIsReadyLivesAndStops) {
   EXPECT_EQ(program.wait(), 0) << program.text();
 }
 
-// The thread of the process that has this name; 0: none.
-pid_t thread_of(pid_t process, const std::string& name) {
-  for (const auto& task : fs::directory_iterator("/proc/" + std::to_string(process) + "/task")) {
-    std::ifstream file(task.path() / "comm");
-    std::string comm;
-    std::getline(file, comm);
-    if (comm == name) return std::stoi(task.path().filename().string());
-  }
-  return 0;
-}
-
 // Everything else runs on: main, capture and the page.
 TEST_F(ServiceTest, AStalledInferenceStopsThePing) {
   Program program(LCDM_PROGRAM, arguments({"--source", "scene:"}), environment());
   EXPECT_THAT(message("READY=1"), HasSubstr("streaming"));
   ASSERT_TRUE(program.wait_for("\nstreaming\n")) << program.text();
-  const pid_t infer = thread_of(program.pid(), "infer");
+  const pid_t infer = program.thread_of("infer");
   if (ptrace(PTRACE_SEIZE, infer, nullptr, nullptr) != 0) GTEST_SKIP() << "may not trace";
   ASSERT_EQ(ptrace(PTRACE_INTERRUPT, infer, nullptr, nullptr), 0);
   ASSERT_EQ(waitpid(infer, nullptr, __WALL), infer);

@@ -72,7 +72,7 @@ TEST(FramePool, BuffersComeBackFromAnotherThread) {
   }
   consumer.join();
   expect_states(pool, 0, 0, 3);
-  EXPECT_EQ(mailbox.overwrites(), 0U);
+  EXPECT_EQ(mailbox.dropped(), 0U);
 }
 
 TEST(Mailbox, TheNewestWinsAndTheOthersAreCounted) {
@@ -81,8 +81,12 @@ TEST(Mailbox, TheNewestWinsAndTheOthersAreCounted) {
   mailbox.put(2);
   mailbox.put(3);
   EXPECT_EQ(mailbox.take(std::chrono::seconds(0)), 3);
-  EXPECT_EQ(mailbox.overwrites(), 2U);
+  EXPECT_EQ(mailbox.dropped(), 2U);
   EXPECT_EQ(mailbox.take(std::chrono::milliseconds(1)), std::nullopt);
+  mailbox.put(4);
+  mailbox.clear();
+  mailbox.clear();
+  EXPECT_EQ(mailbox.dropped(), 3U);
 }
 
 TEST(Mailbox, ReplacedAndClearedItemsAreDestroyed) {

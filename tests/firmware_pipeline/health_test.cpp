@@ -45,6 +45,18 @@ TEST(Health, PercentilesForgetWhatIsLongAgo) {
   EXPECT_EQ(now.inference_p99_ns, 126 * kMs);
 }
 
+TEST(Health, ADamagedFrameIsCountedOnceAndNotAsALostOne) {
+  Health health;
+  health.note_captured(100);
+  health.note_damaged();
+  health.note_captured(102);
+  EXPECT_EQ(health.snapshot(0).sequence_gaps, 0U);
+  EXPECT_EQ(health.snapshot(0).corrupt, 1U);
+  health.note_damaged();
+  health.note_captured(105);
+  EXPECT_EQ(health.snapshot(0).sequence_gaps, 1U);
+}
+
 TEST(Health, ReopeningStartsTheSequenceAnew) {
   Health health;
   health.note_captured(100);

@@ -49,6 +49,31 @@ TEST_F(PipelineTest, ASilenceThatLastsRestartsTheStream) {
   EXPECT_EQ(health().reopened, 0U);
 }
 
+TEST_F(PipelineTest, AStreamThatGaveDepthIsRestartedAsSoonAsItsSilenceIsDeclared) {
+  camera_.on_dequeue = [this](int) {
+    return camera_.started == 1 && camera_.delivered > 5 ? timeout() : Status::ok();
+  };
+  PipelineOptions options = fast();
+  options.recover_after = milliseconds(600'000);
+  start(options);
+  ASSERT_TRUE(eventually([&] { return camera_.started == 2; }));
+  ASSERT_TRUE(delivers(3));
+  EXPECT_EQ(steps_on(RecoveryRung::kRestartStream), 1U);
+}
+
+TEST_F(PipelineTest, AFirstFrameMayTakeLonger) {
+  std::atomic<bool> warm{false};
+  camera_.on_dequeue = [&](int) { return warm ? Status::ok() : timeout(); };
+  PipelineOptions options = fast();
+  options.recover_after = milliseconds(600'000);
+  start(options);
+  ASSERT_TRUE(reaches(PipelineState::kNoSignal));
+  EXPECT_FALSE(eventually_quick([&] { return camera_.started > 1; }));
+  warm = true;
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_EQ(camera_.started, 1);
+}
+
 TEST_F(PipelineTest, ASilenceThatOutlastsTheRestartReopensTheCamera) {
   camera_.on_dequeue = [this](int) { return camera_.configured == 1 ? timeout() : Status::ok(); };
   start();

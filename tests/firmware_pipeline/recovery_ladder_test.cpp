@@ -86,6 +86,18 @@ TEST_F(RecoveryLadderTest, SteadyDepthBringsItBackToTheBottom) {
   EXPECT_EQ(last_wait_, milliseconds(100));
 }
 
+TEST_F(RecoveryLadderTest, DepthForTheLongestWaitMakesTheNextOneShortButNoLowerRung) {
+  rungs_after(StatusCode::kIoError, 4);
+  depth_for(milliseconds(900));
+  EXPECT_EQ(rung_after(StatusCode::kIoError), Rung::kResetPort);
+  EXPECT_EQ(last_wait_, milliseconds(1000));
+  depth_for(milliseconds(1000));
+  EXPECT_EQ(rung_after(StatusCode::kIoError), Rung::kReopen);
+  EXPECT_EQ(last_wait_, milliseconds(100));
+  EXPECT_EQ(rung_after(StatusCode::kIoError), Rung::kReopen);
+  EXPECT_EQ(last_wait_, milliseconds(200));
+}
+
 TEST_F(RecoveryLadderTest, AFewFramesBetweenFaultsDoNot) {
   for (int i = 0; i < 4; ++i) {
     rung_after(StatusCode::kIoError);

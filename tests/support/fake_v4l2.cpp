@@ -79,6 +79,7 @@ struct FakeV4l2::State {
   int handle_mode(unsigned request, void* argument);
   int set_format(v4l2_format& format) const;
   int dequeue(v4l2_buffer& buffer, v4l2_plane* planes);
+  std::vector<std::uint8_t> picture_of(std::uint32_t number) const;
 };
 
 namespace {
@@ -320,6 +321,7 @@ int FakeV4l2::State::set_format(v4l2_format& format) const {
 
 int FakeV4l2::State::handle(unsigned request, void* argument, v4l2_plane* planes) {
   const std::lock_guard lock(mutex);
+  if (const int refusal = behaviour.refuse(request); refusal != 0) return refusal;
   switch (request) {
     case VIDIOC_REQBUFS: {
       auto& buffers = *static_cast<v4l2_requestbuffers*>(argument);
@@ -376,17 +378,19 @@ int FakeV4l2::State::dequeue(v4l2_buffer& buffer, v4l2_plane* planes) {
   const Answer answer = behaviour.answer(requests++);
   if (answer == Answer::kIoError) return EIO;
   if (answer == Answer::kGone) return ENODEV;
-  if (answer == Answer::kNothing || queued.empty()) return EAGAIN;
+  if (answer == Answer::kLostFrame) ++sequence;
+  const bool none = answer == Answer::kNothing || answer == Answer::kLostFrame;
+  if (none || queued.empty()) return EAGAIN;
 
   if (answer != Answer::kSameAgain) {
     delivered = queued.front();
     queued.pop_front();
   }
   buffer.index = delivered;
-  const std::vector<char> picture(image_bytes(behaviour), static_cast<char>(sequence & 0xFF));
+  const std::vector<std::uint8_t> picture = picture_of(sequence);
   const auto offset = static_cast<off_t>(buffer.index) * buffer_stride(behaviour);
   if (pwrite(backing, picture.data(), picture.size(), offset) < 0) return EIO;
-  std::uint32_t bytes = image_bytes(behaviour);
+  auto bytes = static_cast<std::uint32_t>(picture.size());
   if (answer == Answer::kShortFrame) bytes = 0;
   if (answer == Answer::kHugeFrame) bytes = 0x7FFFFFFF;
   (planes != nullptr ? planes->bytesused : buffer.bytesused) = bytes;
@@ -399,6 +403,14 @@ int FakeV4l2::State::dequeue(v4l2_buffer& buffer, v4l2_plane* planes) {
   clock_gettime(CLOCK_MONOTONIC, &now);
   buffer.timestamp = behaviour.stamp.value_or(timeval{now.tv_sec, now.tv_nsec / 1000});
   return 0;
+}
+
+std::vector<std::uint8_t> FakeV4l2::State::picture_of(std::uint32_t number) const {
+  const std::size_t room = image_bytes(behaviour);
+  if (!behaviour.contents) return std::vector(room, static_cast<std::uint8_t>(number & 0xFF));
+  std::vector<std::uint8_t> picture = behaviour.contents(number);
+  LCDM_CHECK(picture.size() <= room);
+  return picture;
 }
 
 bool event_is_pending() {

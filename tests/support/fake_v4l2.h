@@ -19,10 +19,11 @@ class FakeV4l2 {
  public:
   // What the fake driver does when a frame is asked for.
   enum class Answer {
-    kFrame,       // delivers: every byte is the sequence's low 8 bits
+    kFrame,       // delivers one
     kNothing,     // EAGAIN
     kIoError,     // EIO
     kGone,        // ENODEV
+    kLostFrame,   // EAGAIN; the sequence passes over a frame
     kErrorFlag,   // a frame with V4L2_BUF_FLAG_ERROR
     kShortFrame,  // one byte
     kHugeFrame,   // bytesused beyond the buffer
@@ -62,6 +63,11 @@ class FakeV4l2 {
     bool shares_buffers = true;  // as dma-bufs; here descriptors of the memory of all of them
     // The n-th request for a frame since the device was made, from 0.
     std::function<Answer(int)> answer = [](int) { return Answer::kFrame; };
+    // What is in the frame of that sequence, which is delivered now; at most a buffer's size. Null:
+    // every byte is the sequence's low 8 bits.
+    std::function<std::vector<std::uint8_t>(std::uint32_t)> contents;
+    // The errno with which an ioctl fails before anything else; 0: it does not.
+    std::function<int(unsigned)> refuse = [](unsigned) { return 0; };
   };
 
   // Makes /dev/video0 appear in this process.
