@@ -12,6 +12,7 @@
 namespace lcdm {
 
 Status start_recording(const Pipeline& pipeline, Recorder& recorder) {
+  if (recorder.status().recording) return Status::ok();
   const Pipeline::Source source = pipeline.source();
   if (source.format.width == 0) {
     return Status::error(StatusCode::kUnavailable,

@@ -13,7 +13,8 @@
 
 namespace lcdm {
 
-// Begins a recording of what the pipeline's source gives. Waits for the disk.
+// Begins a recording of what the pipeline's source gives; harmless while one is under way. Waits
+// for the disk.
 Status start_recording(const Pipeline& pipeline, Recorder& recorder);
 
 // Asks the system to power the machine off: writes the file `poweroff` into the folder that systemd

@@ -1,11 +1,13 @@
 #include "app/recorder.h"
 
+#include <algorithm>
 #include <cerrno>
 #include <chrono>
 #include <cstring>
 #include <ctime>
 #include <fcntl.h>
 #include <filesystem>
+#include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <system_error>
 #include <unistd.h>
@@ -23,6 +25,7 @@ constexpr std::size_t kChunkBytes = 8U << 20;
 constexpr std::size_t kChunkMessages = 256;
 constexpr std::size_t kChunks = 4096;  // of a segment: over an hour
 constexpr std::size_t kMessageHead = 256;
+constexpr std::size_t kCalibrationBytes = 2048;  // its message, with room to spare
 constexpr std::size_t kJpegTables = 65536;
 constexpr int kJpegQuality = 92;  // field data is for training: artefacts would be learned
 constexpr std::uint16_t kImageChannel = 1;
@@ -80,9 +83,13 @@ Status Recorder::start(const std::string& source, const FrameFormat& format,
   }
   source_ = source;
   camera_ = camera;
-  writer_.emplace(kChunkBytes, kChunkMessages, kChunks);
   Status status = prepare_slots(format);
-  if (status) status = open_segment();
+  if (status) {
+    // A chunk holds at least a calibration and the largest picture.
+    writer_.emplace(std::max(kChunkBytes, message_.size() + kCalibrationBytes), kChunkMessages,
+                    kChunks);
+    status = open_segment();
+  }
   if (!status) {
     writer_.reset();
     return status;
@@ -90,10 +97,12 @@ Status Recorder::start(const std::string& source, const FrameFormat& format,
   {
     const std::lock_guard lock(mutex_);
     fault_.clear();
+    under_way_ = true;
   }
+  frames_ = dropped_ = bytes_ = 0;
   stopping_ = false;
   thread_ = std::thread([this] { record_loop(); });
-  recording_ = true;
+  taking_ = true;
   return Status::ok();
 }
 
@@ -103,7 +112,7 @@ void Recorder::stop() {
 }
 
 void Recorder::end() {
-  recording_ = false;
+  taking_ = false;
   stopping_ = true;
   work_.release();
   if (thread_.joinable()) thread_.join();
@@ -112,23 +121,27 @@ void Recorder::end() {
 
 RecorderStatus Recorder::status() const {
   const std::lock_guard lock(mutex_);
-  return {recording_, frames_, dropped_, bytes_, path_, fault_};
+  return {under_way_, frames_, dropped_, bytes_, path_, fault_};
 }
 
 bool Recorder::push(const FrameView& frame) noexcept {
   const std::unique_lock lock(push_mutex_, std::try_to_lock);
-  if (!lock || !recording_) return false;
+  if (!lock || !taking_) return false;
   if (frame.format != format_) {
     if (++foreign_ >= kForeignFrames && !format_changed_.exchange(true)) work_.release();
     return false;
   }
   foreign_ = 0;
-  if (frame.bytes > frame_capacity_) return false;
+  // A driver's padding behind the picture is left out; a JPEG's bytes all belong to it.
+  const bool padded = frame.bytes > frame_capacity_ && format_.pixel != PixelFormat::kMjpeg;
+  const std::size_t bytes = padded ? frame_capacity_ : frame.bytes;
+  if (bytes > frame_capacity_) return false;
   const auto index = free_.pop();
   if (!index) return false;
   Slot& slot = slots_[*index];
-  std::memcpy(slot.pixels.data(), frame.data, frame.bytes);
+  std::memcpy(slot.pixels.data(), frame.data, bytes);
   slot.view = frame;
+  slot.view.bytes = bytes;
   slot.view.data = slot.pixels.data();
   const bool queued = filled_.push(*index);
   LCDM_CHECK(queued);  // as many entries as slots
@@ -137,7 +150,7 @@ bool Recorder::push(const FrameView& frame) noexcept {
 }
 
 void Recorder::push_or_drop(const FrameView& frame) noexcept {
-  if (recording_ && !push(frame)) dropped_.fetch_add(1, std::memory_order_relaxed);
+  if (taking_ && !push(frame)) dropped_.fetch_add(1, std::memory_order_relaxed);
 }
 
 void Recorder::offer(const DepthFrame& frame) noexcept { push_or_drop(frame.colour); }
@@ -175,14 +188,16 @@ Status Recorder::open_segment() {
     opened = file_.open(path, options_.keep_free_bytes);
     if (opened.sys_errno() != EEXIST) break;
   }
-  LCDM_RETURN_IF_ERROR(opened);
+  if (!opened) {
+    file_.remove();
+    return opened;
+  }
   channels_ = recorded_channels();
   const std::string_view metadata[] = {"version", "1",        "source",
                                        source_,   "frame_id", wire::kOpticalFrame};
   const Status status = writer_->begin(file_, channels_, metadata);
   if (!status) {
-    file_.close();
-    fs::remove(path);
+    file_.remove();
     return status;
   }
   chunk_begin_ns_ = 0;
@@ -211,7 +226,6 @@ void Recorder::record_loop() {
   heartbeat_.rest();
 }
 
-// One frame, with the calibration before it where a chunk begins: each chunk stands for itself.
 Status Recorder::write(const FrameView& frame) {
   const std::int64_t now = frame.meta.unix_ns;
   if (writer_->file_bytes() > static_cast<std::uint64_t>(options_.segment_bytes) ||
@@ -221,9 +235,7 @@ Status Recorder::write(const FrameView& frame) {
   }
   const bool clock_went_back = now < chunk_begin_ns_;
   if (chunk_begin_ns_ == 0 || clock_went_back || now - chunk_begin_ns_ >= kChunkNs) {
-    LCDM_RETURN_IF_ERROR(writer_->end_chunk());
-    chunk_begin_ns_ = now;
-    LCDM_RETURN_IF_ERROR(write_calibration(frame.meta));
+    LCDM_RETURN_IF_ERROR(begin_chunk(frame.meta));
   }
   const auto jpeg = as_jpeg(frame);
   if (!jpeg) {
@@ -239,7 +251,7 @@ Status Recorder::write(const FrameView& frame) {
   };
   Status status = write_message();
   if (status.code() == StatusCode::kUnavailable) {
-    LCDM_RETURN_IF_ERROR(writer_->end_chunk());
+    LCDM_RETURN_IF_ERROR(begin_chunk(frame.meta));
     status = write_message();
   }
   if (status) {
@@ -249,8 +261,11 @@ Status Recorder::write(const FrameView& frame) {
   return status;
 }
 
-Status Recorder::write_calibration(const FrameMeta& meta) {
-  wire::ByteWriter out(message_);
+Status Recorder::begin_chunk(const FrameMeta& meta) {
+  LCDM_RETURN_IF_ERROR(writer_->end_chunk());
+  chunk_begin_ns_ = meta.unix_ns;
+  std::array<std::byte, kCalibrationBytes> message{};
+  wire::ByteWriter out(message);
   wire::encode(wire::CameraCalibration{meta.unix_ns, camera_}, out);
   LCDM_CHECK(out.ok());
   return writer_->write_message(kCalibrationChannel, static_cast<std::uint32_t>(meta.sequence),
@@ -268,7 +283,7 @@ Result<std::span<const std::byte>> Recorder::as_jpeg(const FrameView& frame) {
 
 // Completes the file; what went wrong before, or now, becomes the status.
 void Recorder::finish(const Status& status) {
-  recording_ = false;
+  taking_ = false;
   Status completed = status ? writer_->finish() : status;
   if (completed && format_changed_) {
     completed = Status::error(StatusCode::kUnavailable,
@@ -277,9 +292,9 @@ void Recorder::finish(const Status& status) {
   }
   file_.close();
   writer_.reset();  // also when nobody stops a recording that ended by itself
-  if (completed) return;
   const std::lock_guard lock(mutex_);
-  fault_ = completed.text();
+  under_way_ = false;  // together with the reason
+  if (!completed) fault_ = completed.text();
 }
 
 Status Recorder::FileSink::open(const std::string& path, std::int64_t keep_free_bytes) {
@@ -288,7 +303,14 @@ Status Recorder::FileSink::open(const std::string& path, std::int64_t keep_free_
   keep_free_bytes_ = keep_free_bytes;
   fd_ = ::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0640);
   if (fd_ < 0) return Status::system(errno, "recording: cannot create %s", path.c_str());
-  return Status::ok();
+  return check_room();
+}
+
+void Recorder::FileSink::remove() {
+  if (fd_ < 0) return;  // what was not opened is not ours
+  close();
+  std::error_code ignored;  // a disk that fails may refuse this too
+  fs::remove(path_, ignored);
 }
 
 void Recorder::FileSink::close() {
@@ -310,13 +332,23 @@ Status Recorder::FileSink::flush() {
   if (fdatasync(fd_) != 0) {
     return Status::system(errno, "recording: cannot write %s", path_.c_str());
   }
+  struct stat file {};
+  if (fstat(fd_, &file) == 0 && file.st_nlink == 0) {
+    return Status::error(StatusCode::kIoError, "recording ended: %s was deleted", path_.c_str());
+  }
+  return check_room();
+}
+
+Status Recorder::FileSink::check_room() const {
   struct statvfs disk {};
   if (fstatvfs(fd_, &disk) == 0 &&
       static_cast<std::int64_t>(disk.f_bavail) * static_cast<std::int64_t>(disk.f_frsize) <
           keep_free_bytes_) {
-    return Status::error(StatusCode::kIoError,
-                         "recording ended: less than %lld MiB are free on the disk of %s",
-                         static_cast<long long>(keep_free_bytes_ >> 20), path_.c_str());
+    return Status::error(
+        StatusCode::kIoError,
+        "recording: less than %lld MiB are free on the disk of %s: delete something "
+        "(record.keep_free_megabytes)",
+        static_cast<long long>(keep_free_bytes_ >> 20), path_.c_str());
   }
   return Status::ok();
 }

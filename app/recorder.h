@@ -29,8 +29,8 @@ struct RecorderOptions {
 
 struct RecorderStatus {
   bool recording = false;
-  std::uint64_t frames = 0;   // written since the program began
-  std::uint64_t dropped = 0;  // the disk was slower than the camera
+  std::uint64_t frames = 0;   // written in this recording, or the last one
+  std::uint64_t dropped = 0;  // in it: the disk was slower than the camera, or no picture at all
   std::uint64_t bytes = 0;
   std::string file;   // the segment being written, or the last one
   std::string fault;  // why recording ended by itself; empty when it did not
@@ -57,7 +57,7 @@ class Recorder final : public DepthSink {
   const Heartbeat& heartbeat() const { return heartbeat_; }
 
   // All slots are waiting for the disk.
-  bool full() const noexcept { return recording_ && free_.empty(); }
+  bool full() const noexcept { return taking_ && free_.empty(); }
   // Copies the frame for writing. False, without blocking, when it was not taken: not recording,
   // another format, larger than any slot, or full.
   bool push(const FrameView& frame) noexcept;
@@ -81,10 +81,15 @@ class Recorder final : public DepthSink {
     ~FileSink() override { close(); }
     Status open(const std::string& path, std::int64_t keep_free_bytes);
     void close();
+    // Closes and deletes it.
+    void remove();
     Status write(std::span<const std::byte> bytes) override;
+    // Also ends a recording whose file was deleted, or whose disk is as full as may be.
     Status flush() override;
 
    private:
+    Status check_room() const;
+
     int fd_ = -1;
     std::int64_t keep_free_bytes_ = 0;
     std::string path_;
@@ -95,7 +100,8 @@ class Recorder final : public DepthSink {
   Status open_segment();
   void record_loop();
   Status write(const FrameView& frame);
-  Status write_calibration(const FrameMeta& meta);
+  // With the camera's calibration: each chunk stands for itself.
+  Status begin_chunk(const FrameMeta& meta);
   Result<std::span<const std::byte>> as_jpeg(const FrameView& frame);
   void finish(const Status& status);
 
@@ -105,7 +111,7 @@ class Recorder final : public DepthSink {
   SpscRing<std::size_t, kSlots> filled_;  // infer -> record
   SpscRing<std::size_t, kSlots> free_;    // record -> infer
   std::counting_semaphore<> work_{0};     // one per entry of filled_, and one to stop
-  std::atomic<bool> recording_{false};
+  std::atomic<bool> taking_{false};       // frames; ends before the file is complete
   std::atomic<bool> stopping_{false};
   std::atomic<bool> format_changed_{false};  // only frames come that this recording cannot hold
   std::atomic<std::uint64_t> frames_{0};
@@ -128,6 +134,7 @@ class Recorder final : public DepthSink {
   std::int64_t chunk_begin_ns_ = 0;
 
   mutable std::mutex mutex_;  // guards what follows
+  bool under_way_ = false;
   std::string path_;
   std::string fault_;
 

@@ -253,7 +253,9 @@ Result<CapturedFrame> ReplayCamera::dequeue(std::chrono::milliseconds timeout) {
   if (status.code() == StatusCode::kEndOfStream) return status;
   const std::uint64_t sequence = sequence_++;
   const auto period = static_cast<std::int64_t>(1e9 / static_cast<double>(frames_per_second_));
-  due_ns_ = std::max(due_ns_ + period, os::monotonic_ns());
+  // Offline nobody waits: the stamps alone are a period apart.
+  const std::int64_t stamp = live ? os::monotonic_ns() : due_ns_;
+  due_ns_ = live ? std::max(due_ns_ + period, stamp) : due_ns_ + period;
   LCDM_RETURN_IF_ERROR(status);
 
   const bool other_size = image.cols != format_.width || image.rows != format_.height;
@@ -271,8 +273,7 @@ Result<CapturedFrame> ReplayCamera::dequeue(std::chrono::milliseconds timeout) {
   CapturedFrame frame;
   frame.index = static_cast<int>(buffer - all.begin());
   frame.view.format = {PixelFormat::kBgr24, image.cols, image.rows, static_cast<int>(image.step)};
-  const std::int64_t now = os::monotonic_ns();
-  frame.view.meta = {sequence, now, now + os::unix_offset_ns()};
+  frame.view.meta = {sequence, stamp, stamp + os::unix_offset_ns()};
   frame.view.data = image.data;
   frame.view.bytes = image.step * static_cast<std::size_t>(image.rows);
   return frame;

@@ -49,9 +49,10 @@ bool take(Recorder& recorder, const FrameView& frame, bool live, const StopSigna
   return true;
 }
 
-// Until a signal, the time is over, the source ends or fails, or the recording does.
+// Until a signal, the time is over, the source ends or fails, or the recording does. `broken`
+// frames are counted; those of files are named.
 Status record_frames(Camera& camera, Recorder& recorder, bool live, double seconds,
-                     const StopSignals& signals) {
+                     const StopSignals& signals, int& broken) {
   const std::int64_t end =
       seconds > 0 ? os::monotonic_ns() + static_cast<std::int64_t>(seconds * 1e9) : INT64_MAX;
   while (os::monotonic_ns() < end && !signals.wait_for(milliseconds(0))) {
@@ -62,7 +63,10 @@ Status record_frames(Camera& camera, Recorder& recorder, bool live, double secon
       if (!go_on) break;
     } else if (frame.code() == StatusCode::kEndOfStream) {
       break;
-    } else if (frame.code() != StatusCode::kTimeout && frame.code() != StatusCode::kCorrupt) {
+    } else if (frame.code() == StatusCode::kCorrupt) {
+      ++broken;
+      if (!live) std::fprintf(stderr, "lcdm: %s\n", frame.status().text());
+    } else if (frame.code() != StatusCode::kTimeout) {
       return frame.status();
     }
     const RecorderStatus now = recorder.status();
@@ -83,6 +87,7 @@ int record(const RecordOptions& options) {
     return report_failure(status);
   }
 
+  int broken = 0;
   Recorder recorder(recorder_options(*config));
   Status status = recorder.start(camera.info().uri, camera.format(), camera.model());
   if (status) status = camera.start();
@@ -90,7 +95,7 @@ int record(const RecordOptions& options) {
     std::printf("source  %s\nfile    %s\n", camera.info().description.c_str(),
                 recorder.status().file.c_str());
     std::fflush(stdout);
-    status = record_frames(camera, recorder, source->endless, options.seconds, signals);
+    status = record_frames(camera, recorder, source->endless, options.seconds, signals, broken);
   }
   camera.stop();
   recorder.stop();
@@ -99,9 +104,12 @@ int record(const RecordOptions& options) {
     status = Status::error(StatusCode::kIoError, "%s", done.fault.c_str());
   }
   if (!status) return report_failure(status);
-  std::printf("%llu frame%s, %.1f MB%s\n", static_cast<unsigned long long>(done.frames),
-              done.frames == 1 ? "" : "s", static_cast<double>(done.bytes) * 1e-6,
-              done.dropped == 0 ? "" : (", " + std::to_string(done.dropped) + " dropped").c_str());
+  std::printf("%llu frame%s, %.1f MB", static_cast<unsigned long long>(done.frames),
+              done.frames == 1 ? "" : "s", static_cast<double>(done.bytes) * 1e-6);
+  if (done.dropped > 0)
+    std::printf(", %llu dropped", static_cast<unsigned long long>(done.dropped));
+  if (broken > 0) std::printf(", %d broken", broken);
+  std::puts("");
   return kExitOk;
 }
 

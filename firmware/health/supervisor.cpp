@@ -73,11 +73,18 @@ void Supervisor::follow_progress(const Observation& seen) {
   main_gap_ns_ = begun_ ? seen.now_ns - last_call_ns_ : 0;
   last_call_ns_ = seen.now_ns;
   if (pipeline.captured != captured_) last_frame_ns_ = seen.now_ns;
-  const bool frames_come = last_frame_ns_ >= 0 && seen.now_ns - last_frame_ns_ < kFramesComeNs;
+  // A camera whose pictures are broken gives nothing either: the ladder has its time with it.
+  if (pipeline.corrupt != corrupt_ && pipeline.failed == failed_) last_broken_ns_ = seen.now_ns;
+  const auto lately = [&](std::int64_t when_ns) {
+    return when_ns >= 0 && seen.now_ns - when_ns < kFramesComeNs;
+  };
+  const bool frames_come = lately(last_frame_ns_) && !lately(last_broken_ns_);
   waiting_ = gives_nothing(pipeline.state) && !frames_come;
   const bool nearer = pipeline.inferred != inferred_ || pipeline.prepared != prepared_;
   if (!begun_ || waiting_ || nearer) last_progress_ns_ = seen.now_ns;
   captured_ = pipeline.captured;
+  corrupt_ = pipeline.corrupt;
+  failed_ = pipeline.failed;
   inferred_ = pipeline.inferred;
   prepared_ = pipeline.prepared;
 }

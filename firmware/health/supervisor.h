@@ -102,9 +102,12 @@ class Supervisor {
   std::int64_t last_call_ns_ = 0;
   std::int64_t main_gap_ns_ = 0;  // between the last two calls
   std::uint64_t captured_ = 0;
+  std::uint64_t corrupt_ = 0;
+  std::uint64_t failed_ = 0;
   std::uint64_t inferred_ = 0;
   std::uint64_t prepared_ = 0;
   std::int64_t last_frame_ns_ = -1;    // when `captured` last rose
+  std::int64_t last_broken_ns_ = -1;   // when a picture that could not be decoded was last seen
   std::int64_t last_progress_ns_ = 0;  // when depth last came or came nearer, or could not come
   std::int64_t output_fault_since_ns_ = -1;  // negative: there is none
   bool waiting_ = false;                     // declared, and no frame comes

@@ -102,7 +102,7 @@ Status McapWriter::write_message(std::uint16_t channel, std::uint32_t sequence,
 
 Status McapWriter::end_chunk() {
   if (entries_.empty()) return Status::ok();
-  if (!has_room_for_chunk()) {
+  if (chunks_.size() == chunks_.capacity()) {
     return Status::error(StatusCode::kUnavailable, "the file's chunk index is full: finish it");
   }
   const auto [first, last] =

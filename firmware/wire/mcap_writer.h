@@ -54,7 +54,9 @@ class McapWriter {
   Status finish();
 
   std::uint64_t file_bytes() const { return position_ + chunk_.size(); }
-  bool has_room_for_chunk() const { return chunks_.size() < chunks_.capacity(); }
+  // Whether the index holds two more chunks: one that is ended now, and the next, which finish()
+  // ends.
+  bool has_room_for_chunk() const { return chunks_.size() + 1 < chunks_.capacity(); }
 
  private:
   struct IndexEntry {

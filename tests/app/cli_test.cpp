@@ -324,7 +324,7 @@ TEST_F(Cli, RecordDropsPicturesOfAnotherSize) {
   const Outcome outcome = lcdm({"record", "--source", "file:" + make_images().string(), "--output",
                                 (folder_ / "out").string()});
   EXPECT_EQ(outcome.status, 0) << outcome.text;
-  EXPECT_THAT(outcome.text, HasSubstr("1 frames"));
+  EXPECT_THAT(outcome.text, HasSubstr("1 frame,"));
   EXPECT_THAT(outcome.text, HasSubstr("1 dropped"));
 }
 

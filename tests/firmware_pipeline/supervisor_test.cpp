@@ -125,6 +125,22 @@ TEST_F(SupervisorTest, ARefusingEngineIsNoWaitForTheCamera) {
   EXPECT_THAT(now_.reason, HasSubstr("no such format"));
 }
 
+// Its ladder restarts the stream, reopens, resets the port: that takes its time.
+TEST_F(SupervisorTest, ACameraOfBrokenPicturesIsWaitedFor) {
+  stream();
+  seen_.pipeline.state = PipelineState::kNoSignal;
+  seen_.fault = "fake: none can be decoded";
+  pass(30 * kSecond, [this] {
+    seen_.pipeline.captured += 2;  // one of them gave way to the other
+    ++seen_.pipeline.corrupt;
+  });
+  EXPECT_TRUE(now_.alive);
+  EXPECT_EQ(now_.state, DeviceState::kWaitingForCamera);
+  pass(20 * kSecond,
+       [this] { ++seen_.pipeline.captured, ++seen_.pipeline.corrupt, ++seen_.pipeline.failed; });
+  EXPECT_FALSE(now_.alive) << "the engine refuses those that are whole";
+}
+
 TEST_F(SupervisorTest, AHangingVitalThreadStopsThePing) {
   for (auto age :
        {&HealthSnapshot::capture_heartbeat_age_ns, &HealthSnapshot::infer_heartbeat_age_ns}) {

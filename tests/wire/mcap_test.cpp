@@ -191,6 +191,27 @@ TEST(McapWriter, RefusesAMessageLargerThanAChunkAndSaysWhenAChunkIsFull) {
   EXPECT_TRUE(writer.write_message(1, 1, 1, half));
 }
 
+TEST(McapWriter, AFullIndexIsToldWhileTheOpenChunkStillHasItsPlace) {
+  MemorySink sink;
+  McapWriter writer(1024, 4, 3);
+  ASSERT_TRUE(writer.begin(sink, kNoChannels, {}));
+  const std::vector<std::byte> message(100);
+  std::uint32_t chunks = 0;
+  for (; writer.has_room_for_chunk(); ++chunks) {
+    ASSERT_TRUE(writer.write_message(1, chunks, chunks, message));
+    ASSERT_TRUE(writer.end_chunk());
+  }
+  EXPECT_EQ(chunks, 2U);
+  ASSERT_TRUE(writer.write_message(1, chunks, chunks, message));
+  EXPECT_TRUE(writer.finish());
+  McapWriter over(1024, 4, 1);
+  ASSERT_TRUE(over.begin(sink, kNoChannels, {}));
+  ASSERT_TRUE(over.write_message(1, 0, 0, message));
+  ASSERT_TRUE(over.end_chunk());
+  ASSERT_TRUE(over.write_message(1, 1, 1, message));
+  EXPECT_EQ(over.end_chunk().code(), StatusCode::kUnavailable);
+}
+
 TEST(McapReader, ReadsWhatTheWriterWrote) {
   const Reading reading = read_all(record_pictures(9).data);
   EXPECT_EQ(reading.pictures, (std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5, 6, 7, 8}));
