@@ -19,9 +19,6 @@ namespace HWY_NAMESPACE {
 
 constexpr std::size_t kTile = kWinogradTile;
 constexpr std::size_t kPatch = kTile + 2;  // input pixels of a tile, each way
-// Tiles that are multiplied together: enough rows for the products, few enough for the patches of
-// a wide image to stay in the caches.
-constexpr std::size_t kBlock = 32;
 
 // B^T d of one row or column of a patch.
 template <class D, class V>
@@ -66,8 +63,8 @@ class Batch {
         strips_(strips_of(conv_)) {
     rows_ = scratch;
     patches_ = rows_ + (kTile * strips_ + 2) * row_floats();
-    products_ = patches_ + kWinogradProducts * kBlock * channels_;
-    shares_ = products_ + kWinogradProducts * kBlock * columns_;
+    products_ = patches_ + kWinogradProducts * tiles() * channels_;
+    shares_ = products_ + kWinogradProducts * tiles() * columns_;
     float* rest = shares_;
     if (conv_.upsampled.data != nullptr) {
       rest += kTile * strips_ * out_floats();
@@ -89,10 +86,29 @@ class Batch {
     for (int row = y; row < end && conv_.upsampled.data != nullptr; ++row) {
       upsampled_.row(row, shares_ + static_cast<std::size_t>(row - y) * out_floats());
     }
-    const std::size_t tiles = strips * across_;
-    for (std::size_t first = 0; first < tiles; first += kBlock) {
-      compute_block(y, end, first, std::min(kBlock, tiles - first));
+    for (std::size_t s = 0; s < strips; ++s) {
+      for (std::size_t t = 0; t < across_; ++t) take_apart(s, t);
     }
+    const std::size_t count = strips * across_;
+    const std::size_t step = packed_floats(conv_.channels, conv_.weights.columns);
+    for (std::size_t f = 0; f < kWinogradProducts; ++f) {
+      const float* panels = w_.panels + f * step;
+      const PackedMatrix matrix = {panels, panels + step - padded_columns(), conv_.channels,
+                                   conv_.weights.columns};
+      const RowInput patches = {{patches_ + f * tiles() * channels_},
+                                1,
+                                conv_.channels,
+                                conv_.channels,
+                                static_cast<int>(count)};
+      multiply_rows(
+          patches, matrix,
+          {products_ + f * tiles() * columns_, nullptr, conv_.weights.columns, Activation::kNone});
+    }
+    with_activation(conv_.activation, [&](auto kind) HWY_ATTR {
+      for (std::size_t s = 0; s < strips; ++s) {
+        for (std::size_t t = 0; t < across_; ++t) put_together<decltype(kind)::value>(y, end, s, t);
+      }
+    });
   }
 
   int rows() const { return static_cast<int>(kTile * strips_); }
@@ -107,33 +123,7 @@ class Batch {
   }
 
  private:
-  // `count` tiles of the batch's strips, the first of them number `first`.
-  HWY_INLINE void compute_block(int y, int end, std::size_t first, std::size_t count) {
-    for (std::size_t i = 0; i < count; ++i) {
-      take_apart((first + i) / across_, (first + i) % across_, patches_ + i * channels_);
-    }
-    const std::size_t step = packed_floats(conv_.channels, conv_.weights.columns);
-    for (std::size_t f = 0; f < kWinogradProducts; ++f) {
-      const float* panels = w_.panels + f * step;
-      const PackedMatrix matrix = {panels, panels + step - padded_columns(), conv_.channels,
-                                   conv_.weights.columns};
-      const RowInput patches = {{patches_ + f * kBlock * channels_},
-                                1,
-                                conv_.channels,
-                                conv_.channels,
-                                static_cast<int>(count)};
-      multiply_rows(
-          patches, matrix,
-          {products_ + f * kBlock * columns_, nullptr, conv_.weights.columns, Activation::kNone});
-    }
-    with_activation(conv_.activation, [&](auto kind) HWY_ATTR {
-      for (std::size_t i = 0; i < count; ++i) {
-        put_together<decltype(kind)::value>(y, end, (first + i) / across_, (first + i) % across_,
-                                            products_ + i * columns_);
-      }
-    });
-  }
-
+  std::size_t tiles() const { return strips_ * across_; }
   std::size_t row_floats() const { return (kTile * across_ + 2) * channels_; }
   std::size_t out_floats() const { return static_cast<std::size_t>(conv_.width) * columns_; }
   std::size_t padded_columns() const { return (columns_ + kLanes - 1) / kLanes * kLanes; }
@@ -154,10 +144,11 @@ class Batch {
     if (row_floats() > used) std::memset(out + used, 0, (row_floats() - used) * sizeof(float));
   }
 
-  // The patch of tile t of strip s: [product][tile of the block][channel].
-  HWY_INLINE void take_apart(std::size_t s, std::size_t t, float* to) {
+  // The patch of tile t of strip s: [product][tile][channel].
+  HWY_INLINE void take_apart(std::size_t s, std::size_t t) {
     const float* from = rows_ + kTile * s * row_floats() + kTile * t * channels_;
-    const std::size_t step = kBlock * channels_;
+    float* to = patches_ + (s * across_ + t) * channels_;
+    const std::size_t step = tiles() * channels_;
     for_channels(channels_, [&](auto d, std::size_t c) HWY_ATTR {
       using V = decltype(hn::Zero(d));
       V half[kPatch][kPatch];  // rows transformed; [column][row]
@@ -182,8 +173,9 @@ class Batch {
 
   // Its output pixels, with bias, share and activation.
   template <Activation kActivation>
-  HWY_INLINE void put_together(int y, int end, std::size_t s, std::size_t t, const float* from) {
-    const std::size_t step = kBlock * columns_;
+  HWY_INLINE void put_together(int y, int end, std::size_t s, std::size_t t) {
+    const float* from = products_ + (s * across_ + t) * columns_;
+    const std::size_t step = tiles() * columns_;
     const auto first_row = static_cast<std::size_t>(y) + kTile * s;
     const std::size_t rows = std::min(kTile, static_cast<std::size_t>(end) - first_row);
     const std::size_t pixels = std::min(kTile, static_cast<std::size_t>(conv_.width) - kTile * t);
@@ -224,8 +216,8 @@ class Batch {
   std::size_t across_;  // tiles of a strip
   std::size_t strips_;  // of a batch
   float* rows_;         // padded input rows
-  float* patches_;      // [product, tile of a block, channels]
-  float* products_;     // [product, tile of a block, columns]
+  float* patches_;      // [product, tile, channels]
+  float* products_;     // [product, tile, columns]
   float* shares_;       // rows of the upsampled share
   UpsampledRows upsampled_;
   ChainRows before_;
@@ -249,7 +241,7 @@ std::size_t scratch_floats(const WinogradConv& winograd) {
   const std::size_t shares =
       has_share ? kTile * strips * static_cast<std::size_t>(conv.width) * columns : 0;
   return (kTile * strips + 2) * (kTile * across + 2) * channels +
-         kWinogradProducts * kBlock * (channels + columns) + shares;
+         kWinogradProducts * strips * across * (channels + columns) + shares;
 }
 
 }  // namespace HWY_NAMESPACE
