@@ -169,14 +169,12 @@ class Lowering {
                     kernels::winograd_scratch(args));
   }
 
-  // Bytes only in the decoder and where sums are long or there is an upsampled share beside them:
-  // the encoder's and the last layers' few channels gain little by bytes and cost most of the
-  // accuracy. The fewest channels cost some even in halves.
+  // Bytes only beside an upsampled share, where they cost no accuracy: elsewhere they gained little
+  // and cost most of it. The fewest channels cost some even in halves.
   Precision precision_of_3x3(const Layer& layer, const kernels::Conv3x3& conv) const {
     if (layer.output.channels < 16) return Precision::kFloat32;
-    const bool robust = layer.name.starts_with("decoder.") &&
-                        (conv.channels >= 64 || conv.upsampled.data != nullptr);
-    const Precision narrowest = robust ? Precision::kInt8 : Precision::kBfloat16;
+    const bool has_share = conv.upsampled.data != nullptr;
+    const Precision narrowest = has_share ? Precision::kInt8 : Precision::kBfloat16;
     return weights_.precision_for(9 * conv.channels, narrowest, 3);
   }
 
