@@ -169,6 +169,15 @@ class Lowering {
                     kernels::winograd_scratch(args));
   }
 
+  // Bytes only beside an upsampled share, where they cost no accuracy: elsewhere they gained little
+  // and cost most of it. The fewest channels cost some even in halves.
+  Precision precision_of_3x3(const Layer& layer, const kernels::Conv3x3& conv) const {
+    if (layer.output.channels < 16) return Precision::kFloat32;
+    const bool has_share = conv.upsampled.data != nullptr;
+    const Precision narrowest = has_share ? Precision::kInt8 : Precision::kBfloat16;
+    return weights_.precision_for(9 * conv.channels, narrowest, 3);
+  }
+
   // With the convolutions before it whose outputs are not stored.
   Status conv3x3() {
     std::vector<int> indices = {index_};
@@ -181,11 +190,13 @@ class Lowering {
     for (const int index : indices) {
       kernels::Conv3x3& conv = chain.convs[static_cast<std::size_t>(chain.count)];
       LCDM_RETURN_IF_ERROR(make_conv(index, conv));
-      if (index == index_ && kernels::winograd_pays(conv, layer_.output.channels)) {
+      const Precision precision = precision_of_3x3(network_.layer(index), conv);
+      if (index == index_ && kernels::winograd_pays(conv, layer_.output.channels, precision)) {
         kernels::WinogradConv args{chain, conv, nullptr};
         return winograd(args);
       }
-      LCDM_RETURN_IF_ERROR(weights_.pack3x3(network_.layer(index), conv.channels, conv.weights));
+      LCDM_RETURN_IF_ERROR(
+          weights_.pack3x3(network_.layer(index), conv.channels, precision, conv.weights));
       ++chain.count;
     }
     return add_step(chain, &kernels::conv3x3_rows, layer_.output.height, 1,

@@ -53,10 +53,10 @@ enum class Activation : std::uint8_t { kNone, kSilu, kElu, kRelu };
 enum class Padding : std::uint8_t { kZero, kReflect };
 enum class Upsampling : std::uint8_t { kNone, kNearest, kBilinear };  // x2, while it is read
 
-// What products multiply: those of 1x1 convolutions (the nine that stand for a 3x3 of a doubled
-// input among them), of linear layers and of attention. They add in float (kInt8: exactly). From
+// What products multiply: those of 1x1 convolutions, of linear layers, of attention and of 3x3
+// convolutions where Winograd's algorithm is not faster. They add in float (kInt8: exactly). From
 // the most exact on: where the processor or a layer cannot have one, it has the next above.
-// Activations, all other 3x3 convolutions and the encoder's first block stay in float.
+// Activations are rough beside narrow products; the first block stays in float.
 enum class Precision : std::uint8_t {
   kFloat32,
   kFloat16,  // adds some products in half precision, those sums in float

@@ -57,8 +57,8 @@ ComposedHead compose(const HeadParameters& p) {
 
 }  // namespace
 
-Precision WeightStore::precision_for(int numbers, Precision narrowest) const {
-  return kernels::native_precision(std::min(precision_, narrowest), numbers);
+Precision WeightStore::precision_for(int numbers, Precision narrowest, int runs) const {
+  return kernels::native_precision(std::min(precision_, narrowest), numbers, runs);
 }
 
 std::vector<float> WeightStore::load(const Parameter& parameter) const {
@@ -94,11 +94,11 @@ Status WeightStore::store(std::span<const float> values, const float*& out) {
 
 Status WeightStore::pack(int depth, int columns, const std::function<float(int, int)>& weight,
                          std::span<const float> bias, Precision precision,
-                         kernels::PackedMatrix& out) {
+                         kernels::PackedMatrix& out, int runs) {
   Result<std::span<float>> piece =
-      constants_.add(kernels::packed_floats(depth, columns, precision));
+      constants_.add(kernels::packed_floats(depth, columns, precision, runs));
   if (!piece) return piece.status();
-  out = kernels::pack_matrix(depth, columns, weight, bias, *piece, precision);
+  out = kernels::pack_matrix(depth, columns, weight, bias, *piece, precision, runs);
   return Status::ok();
 }
 
@@ -118,11 +118,12 @@ Status WeightStore::pack_matrix(const Layer& layer, int depth, kernels::PackedMa
   return pack(depth, layer.output.channels, at, bias_of(layer), precision, out);
 }
 
-Status WeightStore::pack3x3(const Layer& layer, int used, kernels::PackedMatrix& out) {
+Status WeightStore::pack3x3(const Layer& layer, int used, Precision precision,
+                            kernels::PackedMatrix& out) {
   const int channels = input_channels(layer);
   const Filters filters{load(layer.parameters[0]), channels, channels - used};
   const auto at = [&](int k, int n) { return filters.at(k % used, n, k / used); };
-  return pack(9 * used, layer.output.channels, at, bias_of(layer), Precision::kFloat32, out);
+  return pack(9 * used, layer.output.channels, at, bias_of(layer), precision, out, 3);
 }
 
 Status WeightStore::pack_upsampled(const Layer& layer, int count, kernels::PackedMatrix& out) {

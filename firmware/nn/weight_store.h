@@ -23,8 +23,9 @@ class WeightStore {
   WeightStore(const ModelFile& model, ConstantStore& constants, Precision precision)
       : model_(model), constants_(constants), precision_(precision) {}
 
-  // What products of rows of so many numbers are made in, no narrower than `narrowest`.
-  Precision precision_for(int numbers, Precision narrowest = Precision::kInt8) const;
+  // What products of rows of so many numbers, in so many runs, are made in, no narrower than
+  // `narrowest`.
+  Precision precision_for(int numbers, Precision narrowest = Precision::kInt8, int runs = 1) const;
 
   // A parameter as it is in the file.
   Status store(const Parameter& parameter, const float*& out);
@@ -36,7 +37,7 @@ class WeightStore {
   Status pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out,
                      Precision narrowest = Precision::kInt8);
   // The last `used` input channels of a 3x3 convolution, with its bias.
-  Status pack3x3(const Layer& layer, int used, kernels::PackedMatrix& out);
+  Status pack3x3(const Layer& layer, int used, Precision precision, kernels::PackedMatrix& out);
   // The first `count`, one 1x1 convolution for each tap.
   Status pack_upsampled(const Layer& layer, int count, kernels::PackedMatrix& out);
   // The last conv.channels, transformed, with the bias.
@@ -52,7 +53,8 @@ class WeightStore {
   std::vector<float> bias_of(const Layer& layer) const;
   Status store(std::span<const float> values, const float*& out);
   Status pack(int depth, int columns, const std::function<float(int, int)>& weight,
-              std::span<const float> bias, Precision precision, kernels::PackedMatrix& out);
+              std::span<const float> bias, Precision precision, kernels::PackedMatrix& out,
+              int runs = 1);
 
   const ModelFile& model_;
   ConstantStore& constants_;

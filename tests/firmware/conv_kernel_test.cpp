@@ -154,6 +154,73 @@ TEST(Conv3x3Kernel, UpsamplesAndConcatenatesWhileReading) {
   });
 }
 
+// Whole numbers that every narrow precision holds exactly, with sums it adds up exactly: inputs
+// from 0 to 15, both in every row, and weights that are -1, 0 or 1.
+struct WholeConv {
+  Image image;
+  Filter filter;
+
+  WholeConv(Random& random, int height, int width, int channels, int columns)
+      : image(make_image(random, height, width, channels)), filter(random, columns, channels, 3) {
+    for (double& v : image.values) v = random.whole(0, 15);
+    for (int y = 0; y < height; ++y) {
+      const auto row = static_cast<std::size_t>(y * width * channels);
+      image.values[row] = 15;
+      image.values[row + 1] = 0;
+    }
+    for (float& w : filter.weights) w = static_cast<float>(random.whole(-1, 1));
+    for (float& b : filter.bias) b = static_cast<float>(random.whole(-9, 9));
+  }
+};
+
+void check_narrow_conv(const WholeConv& whole, Precision precision, int stride, Padding padding) {
+  SCOPED_TRACE(testing::Message() << to_string(precision) << ", stride " << stride);
+  const Image& image = whole.image;
+  const Filter& filter = whole.filter;
+  const auto values = to_floats(image.values);
+  std::vector<float> store(packed_floats(9 * image.channels, filter.columns, precision, 3));
+  const int rows = image.height / stride;
+  std::vector<float> out(static_cast<std::size_t>(rows * image.width / stride * filter.columns));
+  Conv3x3 conv;
+  conv.inputs[0] = as_input(image, values, Upsampling::kNone);
+  conv.height = image.height;
+  conv.width = image.width;
+  conv.channels = image.channels;
+  conv.stride = stride;
+  conv.padding = padding;
+  conv.weights = pack_matrix(
+      9 * image.channels, filter.columns,
+      [&](int k, int n) { return filter.at(n, k % image.channels, k / image.channels); },
+      filter.bias, store, precision, 3);
+  conv.output = out.data();
+  const ConvChain chain = {{conv}, 1};
+  std::vector<float> scratch(conv3x3_scratch(chain));
+  conv3x3_rows(chain, rows / 2, rows, scratch.data());
+  conv3x3_rows(chain, 0, rows / 2, scratch.data());
+  expect_near(out, filter.of(image, stride, padding), 2e-3);
+}
+
+TEST(Conv3x3Kernel, ConvolvesNarrowNumbers) {
+  for_each_isa([] {
+    Random random(8);
+    for (const Precision precision :
+         {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
+      if (support_of(precision) == Support::kNone) continue;
+      for (const Padding padding : {Padding::kZero, Padding::kReflect}) {
+        for (const int channels : {4, 8, 20, 36}) {
+          for (const int columns : {1, 8, 23, 50}) {
+            const WholeConv odd(random, random.whole(2, 9), random.whole(2, 19), channels, columns);
+            check_narrow_conv(odd, precision, 1, padding);
+            const WholeConv even(random, 2 * random.whole(1, 5), 2 * random.whole(1, 9), channels,
+                                 columns);
+            check_narrow_conv(even, precision, 2, padding);
+          }
+        }
+      }
+    }
+  });
+}
+
 // Upsampled, then three convolutions, in slices: the same as one after the other in memory.
 TEST(Conv3x3Kernel, ChainsWithoutStoringWhatIsBetween) {
   for_each_isa([] {

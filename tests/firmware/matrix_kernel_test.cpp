@@ -129,6 +129,30 @@ TEST(MatrixKernel, MultipliesPairsAndQuadsOfNarrowNumbers) {
   });
 }
 
+// Beside narrow products activations are rough: x itself, a number that bfloat16 holds, activated.
+TEST(MatrixKernel, ActivatesWithinTheLastBitsOfHalves) {
+  for_each_isa([] {
+    if (support_of(Precision::kBfloat16) == Support::kNone) return;
+    std::vector<float> rows;
+    for (int i = -128; i <= 128; ++i) {
+      const auto x = static_cast<float>(i);
+      for (const float value : {x / 8, x * 8}) rows.insert(rows.end(), {value, 0});
+    }
+    const auto count = static_cast<int>(rows.size() / 2);
+    std::vector<float> packed(packed_floats(2, 1, Precision::kBfloat16));
+    const PackedMatrix one = pack_matrix(
+        2, 1, [](int, int) { return 1.0F; }, {}, packed, Precision::kBfloat16);
+    for (const Activation activation : {Activation::kSilu, Activation::kElu}) {
+      std::vector<float> out(rows.size() / 2);
+      multiply_rows({{rows.data()}, 1, 2, 2, count}, one, {out.data(), nullptr, 1, activation});
+      for (std::size_t i = 0; i < out.size(); ++i) {
+        const double want = activated(activation, static_cast<double>(rows[2 * i]));
+        ASSERT_NEAR(out[i], want, 1e-4 + 5e-4 * std::fabs(want)) << "of " << rows[2 * i];
+      }
+    }
+  });
+}
+
 // Whole numbers, from 0 in rows and of either sign in weights, whose products sum up exactly. Bytes
 // begin and end with their range. Halves add some products in half precision, up to 2048.
 struct Whole {

@@ -184,9 +184,10 @@ HWY_INLINE void softmax(const QueryTile& t, float unit, const FullVec (&largest)
     const float* score = b.scores + v * kLanes;
     float* word = b.scores + v * kLanes;
     const auto next = [&] HWY_ATTR {
-      FullVec less = hn::Sub(hn::LoadU(d, score), largest[v]);
-      if constexpr (Operand::kScaled) less = hn::Mul(less, hn::Set(d, unit));
-      const FullVec e = exp_approx(d, less);
+      FullVec more = hn::Sub(largest[v], hn::LoadU(d, score));
+      if constexpr (Operand::kScaled) more = hn::Mul(more, hn::Set(d, unit));
+      const FullVec e =
+          kPairs ? rough_exp_minus(d, more) : exp_approx(d, hn::Sub(hn::Zero(d), more));
       score += kQueries;
       sum = hn::Add(sum, e);
       return e;

@@ -66,10 +66,11 @@ struct Bfloat16Operand {
     }
   }
 
-  static HWY_INLINE void narrow_rows(const float* from, std::ptrdiff_t stride, int rows, int count,
-                                     float* words, RowRange*) {
+  static HWY_INLINE RowRange narrow_rows(const float* from, std::ptrdiff_t stride, int rows,
+                                         int count, float* words) {
     const std::ptrdiff_t step = count / 2;
     for (int m = 0; m < rows; ++m) narrow(from + m * stride, count, words + m * step);
+    return {};
   }
 
  private:

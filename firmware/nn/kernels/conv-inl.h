@@ -45,11 +45,12 @@ class ConvRows {
     conv_ = &conv;
     before_ = before;
     own_ = own;
-    row_floats_ = static_cast<std::size_t>(conv.width + 2) * conv.channels;
+    row_words_ = conv.row_words();
     ring_ = scratch;
     loaded_ = first * conv.stride - 1;
+    whole_ = ring_ + 3 * row_words_;
     if (conv.upsampled.data == nullptr) return;
-    share_ = ring_ + 3 * row_floats_;
+    share_ = whole_ + conv.whole_floats();
     upsampled_.begin(conv.upsampled, first, share_ + out_floats());
   }
 
@@ -64,12 +65,7 @@ class ConvRows {
     } else {
       const int top = y * conv_->stride - 1;
       for (; loaded_ <= top + 2; ++loaded_) load(loaded_);
-      const RowInput rows = {{slot(top), slot(top + 1), slot(top + 2)},
-                             3,
-                             3 * conv_->channels,
-                             static_cast<std::ptrdiff_t>(conv_->stride) * conv_->channels,
-                             conv_->width / conv_->stride};
-      multiply_rows(rows, conv_->weights, {out, share_, conv_->weights.columns, conv_->activation});
+      multiply(top, {out, share_, conv_->weights.columns, conv_->activation});
     }
     if (conv_->output == nullptr || !own_.has(y)) return;
     float* kept = conv_->output + static_cast<std::size_t>(y) * out_floats();
@@ -80,26 +76,52 @@ class ConvRows {
   std::size_t out_floats() const {
     return static_cast<std::size_t>(conv_->width / conv_->stride) * conv_->weights.columns;
   }
-  float* slot(int row) const {
-    return ring_ + static_cast<std::size_t>((row + 1) % 3) * row_floats_;
+  static std::size_t index(int row) { return static_cast<std::size_t>((row + 1) % 3); }
+  float* slot(int row) const { return ring_ + index(row) * row_words_; }
+  const RowRange& range(int row) const { return ranges_[index(row)]; }
+
+  HWY_INLINE void multiply(int top, const RowOutput& out) const {
+    const int pixel = conv_->channels / numbers_per_word(conv_->weights.precision);
+    const RowInput rows = {{slot(top), slot(top + 1), slot(top + 2)},
+                           3,
+                           3 * pixel,
+                           static_cast<std::ptrdiff_t>(conv_->stride) * pixel,
+                           conv_->width / conv_->stride};
+    if (conv_->weights.precision == Precision::kFloat32) {
+      multiply_rows(rows, conv_->weights, out);
+    } else {
+      multiply_narrow_rows({rows, {range(top), range(top + 1), range(top + 2)}}, conv_->weights,
+                           out);
+    }
   }
 
   HWY_INLINE void load(int row) {
+    if (conv_->weights.precision == Precision::kFloat32) return load_floats(row, slot(row));
+    load_floats(row, whole_);
+    ranges_[index(row)] = narrow_row(whole_, static_cast<int>(conv_->whole_floats()),
+                                     conv_->weights.precision, slot(row));
+  }
+
+  HWY_INLINE void load_floats(int row, float* out) {
     if (before_ == nullptr || row < 0 || row >= conv_->height) {
-      load_row(*conv_, row, slot(row));
+      load_row(*conv_, row, out);
       return;
     }
     const auto pixel = static_cast<std::size_t>(conv_->channels);
-    before_->row(row, slot(row) + pixel);
-    std::memset(slot(row), 0, pixel * sizeof(float));
-    std::memset(slot(row) + row_floats_ - pixel, 0, pixel * sizeof(float));
+    float* first = out + pixel;
+    float* end = first + static_cast<std::size_t>(conv_->width) * pixel;
+    before_->row(row, first);
+    std::memset(out, 0, pixel * sizeof(float));
+    std::memset(end, 0, pixel * sizeof(float));
   }
 
   const Conv3x3* conv_ = nullptr;
   ConvRows* before_ = nullptr;
   OwnRows own_;
-  std::size_t row_floats_ = 0;
-  float* ring_ = nullptr;   // three padded input rows
+  std::size_t row_words_ = 0;
+  float* ring_ = nullptr;   // three padded input rows, words of the weights' precision
+  RowRange ranges_[3];      // of these, where they are narrow
+  float* whole_ = nullptr;  // one such row of floats, before it is made narrow
   int loaded_ = 0;          // the next one to load
   float* share_ = nullptr;  // a row of the upsampled share; null: there is none
   UpsampledRows upsampled_;

@@ -38,9 +38,18 @@ std::size_t UpsampledShare::scratch_floats() const {
   return 3 * products + products / 3;
 }
 
+std::size_t Conv3x3::row_words() const {
+  return static_cast<std::size_t>(width + 2) *
+         static_cast<std::size_t>(channels / numbers_per_word(weights.precision));
+}
+
+std::size_t Conv3x3::whole_floats() const {
+  if (weights.precision == Precision::kFloat32) return 0;
+  return static_cast<std::size_t>(width + 2) * static_cast<std::size_t>(channels);
+}
+
 std::size_t Conv3x3::scratch_floats() const {
-  const std::size_t ring =
-      3 * static_cast<std::size_t>(width + 2) * static_cast<std::size_t>(channels);
+  const std::size_t ring = 3 * row_words() + whole_floats();
   if (upsampled.data == nullptr) return ring;
   const std::size_t share_row =
       static_cast<std::size_t>(width) * static_cast<std::size_t>(weights.columns);

@@ -44,6 +44,9 @@ struct Conv3x3 {
   Activation activation = Activation::kNone;
   float* output = nullptr;  // [height / stride, width / stride, weights.columns]
 
+  // A padded input row: as words of the weights' precision, and as floats before it is narrow.
+  std::size_t row_words() const;
+  std::size_t whole_floats() const;    // 0 where it stays so
   std::size_t scratch_floats() const;  // rings of three rows of either kind of input
 };
 

@@ -106,14 +106,14 @@ struct Float16Operand {
     }
   }
 
-  static HWY_INLINE void narrow_rows(const float* from, std::ptrdiff_t stride, int rows, int count,
-                                     float* words, RowRange* ranges) {
+  static HWY_INLINE RowRange narrow_rows(const float* from, std::ptrdiff_t stride, int rows,
+                                         int count, float* words) {
     const PowerOfTwo scale = power_of_two_within(largest_magnitude(from, stride, rows, count));
     const std::ptrdiff_t step = count / 2;
     for (int m = 0; m < rows; ++m) {
-      ranges[m].scale = scale.value;
       narrow(from + m * stride, count, scale.inverse, words + m * step);
     }
+    return {0, scale.value};
   }
 
  private:

@@ -76,7 +76,7 @@ HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::
 }
 
 // Residual, activation, store: `columns` of the tile's NV vectors are real.
-template <Activation kActivation, int MR, int NV, class D>
+template <Activation kActivation, bool kRough, int MR, int NV, class D>
 HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns,
                        hn::Vec<D> (&acc)[MR][NV]) {
   constexpr std::size_t kWidth = sizeof(hn::Vec<D>) / sizeof(float);
@@ -89,24 +89,30 @@ HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns
         if (o.residual != nullptr) {
           acc[m][v] = hn::Add(acc[m][v], hn::LoadU(d, o.residual + at + first));
         }
-        hn::StoreU(activate<kActivation>(d, acc[m][v]), d, o.data + at + first);
+        hn::StoreU(activate<kActivation, kRough>(d, acc[m][v]), d, o.data + at + first);
       } else {
         HWY_ALIGN float part[kWidth] = {};
         if (o.residual != nullptr) {
           std::memcpy(part, o.residual + at + first, left * sizeof(float));
           acc[m][v] = hn::Add(acc[m][v], hn::Load(d, part));
         }
-        hn::Store(activate<kActivation>(d, acc[m][v]), d, part);
+        hn::Store(activate<kActivation, kRough>(d, acc[m][v]), d, part);
         std::memcpy(o.data + at + first, part, left * sizeof(float));
       }
     }
   }
 }
 
-// Rows as words of the operand: those of a RowInput, with lengths and strides in words.
+// Rows as words of the operand: those of a RowInput. Where the operand is scaled, every run has
+// ranges of its own: one for all rows, or, of a single run, one for every kRowsOfRange rows.
 struct Words {
   RowInput rows;
-  const RowRange* ranges = nullptr;  // of each row, where the operand is scaled
+  const RowRange* ranges = nullptr;
+  bool shared = false;  // one for all rows
+
+  const RowRange& range(int run, int row) const {
+    return ranges[shared ? run : row / kRowsOfRange];
+  }
 };
 
 // Where a panel stands in its matrix.
@@ -118,33 +124,73 @@ struct Panel {
     const int per_word = numbers_per_word(matrix.precision);
     return matrix.panels + static_cast<std::size_t>(column) * (matrix.depth / per_word);
   }
+  std::ptrdiff_t at(int v) const { return column + v * static_cast<std::ptrdiff_t>(kLanes); }
 };
 
-// What the sums begin with.
+// What sums in float begin with: the bias, and what the ranges of bytes begin at, since (low +
+// scale * byte) * weight summed is scale * (bytes * weight) + low * sum.
 template <class Operand, class D>
-HWY_INLINE hn::Vec<D> first_sum(D d, const Panel& panel, int v) {
-  if constexpr (Operand::kScaled) return hn::Zero(d);
-  return hn::LoadU(d, panel.matrix.bias + panel.column + v * kLanes);
+HWY_INLINE hn::Vec<D> first_sum(D d, const Panel& panel, int v, const Words& a, int row) {
+  auto sum = hn::LoadU(d, panel.matrix.bias + panel.at(v));
+  if constexpr (Operand::kPrecision == Precision::kInt8) {
+    const float* sums = panel.matrix.sums + panel.at(v);
+    for (int r = 0; r < a.rows.runs; ++r, sums += panel.matrix.sums_pitch) {
+      sum = hn::MulAdd(hn::Set(d, a.range(r, row).low), hn::LoadU(d, sums), sum);
+    }
+  }
+  return sum;
 }
 
-// What they mean: (low + scale * byte) * weight summed is scale * (bytes * weight) + low * sum, and
-// halves have no low.
-template <class Operand, class D>
-HWY_INLINE hn::Vec<D> to_float(D d, hn::Vec<D> sum, const Panel& panel, int v, const Words& a,
-                               int row) {
-  if constexpr (!Operand::kScaled) {
-    return sum;
-  } else {
-    const std::ptrdiff_t at = panel.column + v * static_cast<int>(kLanes);
-    const auto scale =
-        hn::Mul(hn::Set(d, a.ranges[row].scale), hn::LoadU(d, panel.matrix.scale + at));
-    auto rest = hn::LoadU(d, panel.matrix.bias + at);
-    if constexpr (Operand::kPrecision == Precision::kInt8) {
-      const hn::RebindToSigned<D> di;
-      rest = hn::MulAdd(hn::Set(d, a.ranges[row].low), hn::LoadU(d, panel.matrix.sums + at), rest);
-      sum = hn::ConvertTo(d, hn::BitCast(di, sum));
+// The same of one run, in the operand's units, as floats.
+template <class Operand, int MR, int NV, class D>
+HWY_INLINE void multiply_run(D d, const Words& a, int row, int r, const Panel& panel,
+                             hn::Vec<D> (&acc)[MR][NV]) {
+  const RowInput& rows = a.rows;
+  accumulate<Operand, MR, NV>(
+      d, rows.run[r] + row * rows.stride, rows.stride, 1, rows.run_length,
+      panel.words() + static_cast<std::size_t>(r) * rows.run_length * NV * kLanes, acc);
+}
+
+// acc += scale * the sums of run r, which are in units of its range and of the columns; the first
+// run begins acc. A tile's rows are of one range: tiles do not cross a multiple of kRowsOfRange.
+template <class Operand, bool kFirst, int MR, int NV, class D>
+HWY_INLINE void add_scaled_run(D d, const Words& a, int row, int r, const Panel& panel,
+                               hn::Vec<D> (&acc)[MR][NV]) {
+  hn::Vec<D> part[MR][NV];
+  LCDM_UNROLL for (int m = 0; m < MR; ++m) {
+    LCDM_UNROLL for (int v = 0; v < NV; ++v) part[m][v] = hn::Zero(d);
+  }
+  multiply_run<Operand, MR, NV>(d, a, row, r, panel, part);
+  const auto of_rows = hn::Set(d, a.range(r, row).scale);
+  LCDM_UNROLL for (int v = 0; v < NV; ++v) {
+    const auto scale = hn::Mul(of_rows, hn::LoadU(d, panel.matrix.scale + panel.at(v)));
+    const auto first = kFirst ? first_sum<Operand>(d, panel, v, a, row) : hn::Zero(d);
+    LCDM_UNROLL for (int m = 0; m < MR; ++m) {
+      if constexpr (Operand::kPrecision == Precision::kInt8) {
+        const hn::RebindToSigned<D> di;
+        part[m][v] = hn::ConvertTo(d, hn::BitCast(di, part[m][v]));
+      }
+      acc[m][v] = hn::MulAdd(part[m][v], scale, kFirst ? first : acc[m][v]);
     }
-    return hn::MulAdd(sum, scale, rest);
+  }
+}
+
+// acc = the bias and the products of all runs.
+template <class Operand, int MR, int NV, class D>
+HWY_INLINE void multiply_runs(D d, const Words& a, int row, const Panel& panel,
+                              hn::Vec<D> (&acc)[MR][NV]) {
+  if constexpr (Operand::kScaled) {
+    add_scaled_run<Operand, true, MR, NV>(d, a, row, 0, panel, acc);
+    for (int r = 1; r < a.rows.runs; ++r) {
+      add_scaled_run<Operand, false, MR, NV>(d, a, row, r, panel, acc);
+    }
+  } else {
+    LCDM_UNROLL for (int m = 0; m < MR; ++m) {
+      LCDM_UNROLL for (int v = 0; v < NV; ++v) {
+        acc[m][v] = hn::LoadU(d, panel.matrix.bias + panel.at(v));
+      }
+    }
+    for (int r = 0; r < a.rows.runs; ++r) multiply_run<Operand, MR, NV>(d, a, row, r, panel, acc);
   }
 }
 
@@ -152,24 +198,11 @@ HWY_INLINE hn::Vec<D> to_float(D d, hn::Vec<D> sum, const Panel& panel, int v, c
 template <class Operand, int MR, int NV, class D>
 HWY_NOINLINE void tile(D d, const Words& a, int row, const Panel& panel, const RowOutput& o) {
   hn::Vec<D> acc[MR][NV];
-  LCDM_UNROLL for (int m = 0; m < MR; ++m) {
-    LCDM_UNROLL for (int v = 0; v < NV; ++v) acc[m][v] = first_sum<Operand>(d, panel, v);
-  }
-  const RowInput& rows = a.rows;
-  const float* words = panel.words();
-  for (int r = 0; r < rows.runs; ++r) {
-    accumulate<Operand, MR, NV>(d, rows.run[r] + row * rows.stride, rows.stride, 1, rows.run_length,
-                                words + static_cast<std::size_t>(r) * rows.run_length * NV * kLanes,
-                                acc);
-  }
-  LCDM_UNROLL for (int m = 0; m < MR; ++m) {
-    LCDM_UNROLL for (int v = 0; v < NV; ++v) {
-      acc[m][v] = to_float<Operand>(d, acc[m][v], panel, v, a, row + m);
-    }
-  }
+  multiply_runs<Operand, MR, NV>(d, a, row, panel, acc);
   with_activation(o.activation, [&](auto kind) HWY_ATTR {
-    finish<decltype(kind)::value, MR, NV>(d, o, row, panel.column,
-                                          panel.matrix.columns - panel.column, acc);
+    constexpr bool kRough = Operand::kPrecision != Precision::kFloat32;
+    finish<decltype(kind)::value, kRough, MR, NV>(d, o, row, panel.column,
+                                                  panel.matrix.columns - panel.column, acc);
   });
 }
 
@@ -220,7 +253,7 @@ template <class Operand>
 HWY_NOINLINE void multiply_narrowed(const RowInput& a, const PackedMatrix& b, const RowOutput& o) {
   constexpr int kMostRows = 128;
   HWY_ALIGN float words[kNarrowWords];
-  RowRange ranges[kMostRows];
+  RowRange ranges[kMostRows / kRowsOfRange];
   const int row_words = b.depth / numbers_per_word(b.precision);
   const int fitting = kNarrowWords / row_words / kRowsOfRange * kRowsOfRange;  // by pack_matrix > 0
   const int block = fitting < kMostRows ? fitting : kMostRows;
@@ -228,12 +261,19 @@ HWY_NOINLINE void multiply_narrowed(const RowInput& a, const PackedMatrix& b, co
     const int rows = a.rows - row < block ? a.rows - row : block;
     for (int m = 0; m < rows; m += kRowsOfRange) {
       const int together = rows - m < kRowsOfRange ? rows - m : kRowsOfRange;
-      Operand::narrow_rows(a.run[0] + (row + m) * a.stride, a.stride, together, b.depth,
-                           words + static_cast<std::ptrdiff_t>(m) * row_words, ranges + m);
+      ranges[m / kRowsOfRange] =
+          Operand::narrow_rows(a.run[0] + (row + m) * a.stride, a.stride, together, b.depth,
+                               words + static_cast<std::ptrdiff_t>(m) * row_words);
     }
     const Words narrow = {{{words}, 1, row_words, row_words, rows}, ranges};
     multiply_block<Operand>(narrow, b, rows_from(o, row));
   }
+}
+
+// The same of rows that are words already.
+template <class Operand>
+HWY_NOINLINE void multiply_words(const NarrowInput& a, const PackedMatrix& b, const RowOutput& o) {
+  multiply_block<Operand>({a.words, a.ranges.data(), true}, b, o);
 }
 
 }  // namespace HWY_NAMESPACE

@@ -3,8 +3,8 @@
 //
 // conv1(condition + time + embed(state)) = conv1(condition) + conv1(time) + conv1(embed(state)):
 // the first is the same for all steps and computed once; the last two are a constant and a 5x5
-// convolution of a single channel. Both convolutions pad with zeros, so within two pixels of the
-// border the sum is made tap by tap.
+// convolution of a single channel. Both convolutions pad with zeros, so in the first and
+// last row, and within two pixels of the sides, the sum is made tap by tap.
 #pragma once
 
 #include <cstddef>

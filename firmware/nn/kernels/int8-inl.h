@@ -52,45 +52,72 @@ struct Int8Operand {
 #endif
   }
 
-  // `count` numbers of each row, a multiple of 4, into count / 4 words. The rows share one range.
-  static HWY_INLINE void narrow_rows(const float* from, std::ptrdiff_t stride, int rows, int count,
-                                     float* words, RowRange* ranges) {
+  // `count` numbers of each row, a multiple of 4, into count / 4 words. The rows share the range
+  // that is returned.
+  static HWY_INLINE RowRange narrow_rows(const float* from, std::ptrdiff_t stride, int rows,
+                                         int count, float* words) {
     const RowRange range = range_of(from, stride, rows, static_cast<std::size_t>(count));
     const float inverse = range.scale > 0 ? 1.0F / range.scale : 0.0F;
-    // A signed byte is the unsigned one less 128, which is its highest bit turned.
-    const std::uint8_t turned = kSigned ? 0x80 : 0;
-    const RowRange given = {range.low + static_cast<float>(turned) * range.scale, range.scale};
     auto* bytes = reinterpret_cast<std::uint8_t*>(words);
     for (int m = 0; m < rows; ++m, from += stride, bytes += count) {
-      ranges[m] = given;
       for_channels(static_cast<std::size_t>(count), [&](auto d, std::size_t i) HWY_ATTR {
-        const auto x =
-            hn::Mul(hn::Sub(hn::LoadU(d, from + i), hn::Set(d, range.low)), hn::Set(d, inverse));
-        const hn::Rebind<std::uint8_t, decltype(d)> d8;
-        const auto byte = hn::DemoteTo(d8, hn::NearestInt(x));
-        hn::StoreU(hn::Xor(byte, hn::Set(d8, turned)), d8, bytes + i);
+        const auto above = hn::Sub(hn::LoadU(d, from + i), hn::Set(d, range.low));
+        store_bytes(d, hn::Mul(above, hn::Set(d, inverse)), bytes + i);
       });
     }
+    return {range.low + static_cast<float>(kTurned) * range.scale, range.scale};
   }
 
  private:
+  // A signed byte is the unsigned one less 128, which is its highest bit turned.
+  static constexpr std::uint8_t kTurned = kSigned ? 0x80 : 0;
+
+  // Numbers from 0 to 255, but for rounding.
+  template <class D, class V = hn::Vec<D>>
+  static HWY_INLINE void store_bytes([[maybe_unused]] D d, V x, std::uint8_t* to) {
+#if HWY_TARGET == HWY_AVX3
+    if constexpr (sizeof(V) == 64) {  // Highway's way saturates twice more than this needs
+      const __m128i bytes = _mm512_cvtusepi32_epi8(_mm512_cvtps_epi32(x.raw));
+      _mm_storeu_si128(reinterpret_cast<__m128i*>(to), bytes);
+      return;
+    }
+#endif
+    const hn::Rebind<std::uint8_t, D> d8;
+    const auto byte = hn::DemoteTo(d8, hn::NearestInt(x));
+    hn::StoreU(hn::Xor(byte, hn::Set(d8, kTurned)), d8, to);
+  }
+
+  // Two chains of minima and maxima, whose latency is otherwise what they cost.
   static HWY_INLINE RowRange range_of(const float* from, std::ptrdiff_t stride, int rows,
                                       std::size_t count) {
     const FullTag d;
     FullVec low = hn::Set(d, from[0]);
     FullVec high = low;
+    FullVec low2 = low;
+    FullVec high2 = low;
     for (int m = 0; m < rows; ++m, from += stride) {
       std::size_t i = 0;
-      for (; i + kLanes <= count; i += kLanes) {
+      for (; i + 2 * kLanes <= count; i += 2 * kLanes) {
+        const FullVec v = hn::LoadU(d, from + i);
+        const FullVec v2 = hn::LoadU(d, from + i + kLanes);
+        low = hn::Min(low, v);
+        high = hn::Max(high, v);
+        low2 = hn::Min(low2, v2);
+        high2 = hn::Max(high2, v2);
+      }
+      if (i + kLanes <= count) {
         const FullVec v = hn::LoadU(d, from + i);
         low = hn::Min(low, v);
         high = hn::Max(high, v);
+        i += kLanes;
       }
       for (; i < count; ++i) {
-        low = hn::Min(low, hn::Set(d, from[i]));
-        high = hn::Max(high, hn::Set(d, from[i]));
+        low2 = hn::Min(low2, hn::Set(d, from[i]));
+        high2 = hn::Max(high2, hn::Set(d, from[i]));
       }
     }
+    low = hn::Min(low, low2);
+    high = hn::Max(high, high2);
     const float least = hn::GetLane(hn::MinOfLanes(d, low));
     return {least, (hn::GetLane(hn::MaxOfLanes(d, high)) - least) / 255.0F};
   }

@@ -36,10 +36,10 @@ class Strip {
     for (int y = begin; y < end; ++y) {
       const int top = y * b_.stride - 1;
       for (; loaded <= top + 2; ++loaded) expand_row(loaded);
-      if (b_.stride == 1) {
-        filter_row<1>(top);
+      if (b_.project.precision == Precision::kFloat32) {
+        filter_row<false>(top);
       } else {
-        filter_row<2>(top);
+        filter_row<true>(top);
       }
       project_row(y);
     }
@@ -75,7 +75,7 @@ class Strip {
 
   // kPixels neighbouring pixels, the first at `column` of the strip. Columns that windows share are
   // loaded once.
-  template <std::size_t kStride, std::size_t kPixels>
+  template <bool kRough, std::size_t kStride, std::size_t kPixels>
   HWY_INLINE void filter_pixels(const float* const (&rows)[3], std::size_t column) {
     constexpr std::size_t kColumns = (kPixels - 1) * kStride + 3;
     const std::size_t pitch = hidden();
@@ -98,19 +98,28 @@ class Strip {
         }
       }
       LCDM_UNROLL for (std::size_t p = 0; p < kPixels; ++p) {
-        hn::StoreU(activate<Activation::kSilu>(d, sum[p]), d, out + p * pitch + c);
+        hn::StoreU(activate<Activation::kSilu, kRough>(d, sum[p]), d, out + p * pitch + c);
       }
     });
   }
 
-  template <std::size_t kStride>
+  template <bool kRough, std::size_t kStride>
   HWY_INLINE void filter_row(int top) {
     constexpr std::size_t kPixels = 4;
     const float* const rows[3] = {slot(top), slot(top + 1), slot(top + 2)};
     const auto columns = static_cast<std::size_t>(columns_);
     std::size_t x = 0;
-    for (; x + kPixels <= columns; x += kPixels) filter_pixels<kStride, kPixels>(rows, x);
-    for (; x < columns; ++x) filter_pixels<kStride, 1>(rows, x);
+    for (; x + kPixels <= columns; x += kPixels) filter_pixels<kRough, kStride, kPixels>(rows, x);
+    for (; x < columns; ++x) filter_pixels<kRough, kStride, 1>(rows, x);
+  }
+
+  template <bool kRough>
+  HWY_INLINE void filter_row(int top) {
+    if (b_.stride == 1) {
+      filter_row<kRough, 1>(top);
+    } else {
+      filter_row<kRough, 2>(top);
+    }
   }
 
   HWY_INLINE void project_row(int y) {

@@ -55,12 +55,45 @@ HWY_INLINE V reciprocal(D d, V x) {
   }
 }
 
-template <Activation kActivation, class D, class V>
+// e^-x within 1.1e-4 relative for x in [-88, 87], clamped above, and e^0 is 1: for what narrow
+// numbers follow or precede. As above, but n log(2) is taken away at once and the polynomial has
+// degree 3.
+template <class D, class V>
+HWY_INLINE V rough_exp_minus(D d, V x) {
+  const hn::RebindToSigned<D> di;
+  const auto magic = hn::Set(d, 12582912.0F);
+  x = hn::Min(x, hn::Set(d, 87.0F));
+  const V shifted = hn::MulAdd(x, hn::Set(d, -1.44269504F), magic);
+  const V r = hn::MulAdd(hn::Sub(shifted, magic), hn::Set(d, 0.693147181F), x);
+  V p = hn::MulAdd(hn::Set(d, -1.651872204e-01F), r, hn::Set(d, 5.041101419e-01F));
+  p = hn::MulAdd(p, r, hn::Set(d, -1.000193921F));
+  p = hn::MulAdd(p, r, hn::Set(d, 1.0F));
+  return hn::BitCast(d, hn::Add(hn::BitCast(di, p), hn::ShiftLeft<23>(hn::BitCast(di, shifted))));
+}
+
+// 1 / x for positive x, within 4e-4 relative.
+template <class D, class V>
+HWY_INLINE V rough_reciprocal([[maybe_unused]] D d, V x) {
+  const V r = hn::ApproximateReciprocal(x);
+  if constexpr (HWY_TARGET == HWY_NEON) {  // where the estimate has 8 bits
+    return hn::Mul(r, hn::NegMulAdd(x, r, hn::Set(d, 2.0F)));
+  } else {
+    return r;
+  }
+}
+
+// kRough: within 5e-4 relative, beside narrow products.
+template <Activation kActivation, bool kRough = false, class D, class V>
 HWY_INLINE V activate(D d, V x) {
   const V zero = hn::Zero(d);
   const V one = hn::Set(d, 1.0F);
-  if constexpr (kActivation == Activation::kSilu) {
+  if constexpr (kActivation == Activation::kSilu && kRough) {
+    const V e = rough_exp_minus(d, hn::Max(x, hn::Set(d, -88.0F)));
+    return hn::Mul(x, rough_reciprocal(d, hn::Add(one, e)));
+  } else if constexpr (kActivation == Activation::kSilu) {
     return hn::Mul(x, reciprocal(d, hn::Add(one, exp_approx(d, hn::Sub(zero, x)))));
+  } else if constexpr (kActivation == Activation::kElu && kRough) {
+    return hn::IfThenElse(hn::Gt(x, zero), x, hn::Sub(rough_exp_minus(d, hn::Abs(x)), one));
   } else if constexpr (kActivation == Activation::kElu) {
     return hn::IfThenElse(hn::Gt(x, zero), x, hn::Sub(exp_approx(d, x), one));
   } else if constexpr (kActivation == Activation::kRelu) {

@@ -34,17 +34,38 @@ HWY_INLINE void multiply_blocks(const RowInput& a, const PackedMatrix& b, const 
   }
 }
 
-void rows_of_floats(const RowInput& a, const PackedMatrix& b, const RowOutput& o) {
-  switch (b.precision) {
+// Calls f with an object of the operand's type.
+template <class F>
+HWY_INLINE void with_narrow_operand(Precision precision, F&& f) {
+  switch (precision) {
     case Precision::kFloat32:
-      return multiply_blocks(a, b, o);
+      return;
     case Precision::kFloat16:
-      return multiply_narrowed<Float16Operand>(a, b, o);
+      return f(Float16Operand());
     case Precision::kBfloat16:
-      return multiply_narrowed<Bfloat16Operand>(a, b, o);
+      return f(Bfloat16Operand());
     case Precision::kInt8:
-      return multiply_narrowed<Int8Operand>(a, b, o);
+      return f(Int8Operand());
   }
+}
+
+void rows_of_floats(const RowInput& a, const PackedMatrix& b, const RowOutput& o) {
+  if (b.precision == Precision::kFloat32) return multiply_blocks(a, b, o);
+  with_narrow_operand(
+      b.precision, [&](auto operand) HWY_ATTR { multiply_narrowed<decltype(operand)>(a, b, o); });
+}
+
+void rows_of_words(const NarrowInput& a, const PackedMatrix& b, const RowOutput& o) {
+  with_narrow_operand(b.precision,
+                      [&](auto operand) HWY_ATTR { multiply_words<decltype(operand)>(a, b, o); });
+}
+
+RowRange words_of_row(const float* from, int count, Precision precision, float* words) {
+  RowRange range;
+  with_narrow_operand(precision, [&](auto operand) HWY_ATTR {
+    range = decltype(operand)::narrow_rows(from, 0, 1, count, words);
+  });
+  return range;
 }
 
 int lanes() { return static_cast<int>(kLanes); }
@@ -71,6 +92,8 @@ HWY_AFTER_NAMESPACE();
 namespace lcdm::kernels {
 
 HWY_EXPORT(rows_of_floats);
+HWY_EXPORT(rows_of_words);
+HWY_EXPORT(words_of_row);
 HWY_EXPORT(lanes);
 HWY_EXPORT(is_native);
 
@@ -103,9 +126,9 @@ Precision native_precision(Precision wanted) {
   return native_precision(wanted, numbers_per_word(Precision::kInt8));
 }
 
-Precision native_precision(Precision wanted, int depth) {
+Precision native_precision(Precision wanted, int depth, int runs) {
   for (const Precision precision : {Precision::kInt8, Precision::kBfloat16, Precision::kFloat16}) {
-    const bool fits = wanted >= precision && rows_fit(depth, precision);
+    const bool fits = wanted >= precision && rows_fit(depth, precision, runs);
     if (fits && support_of(precision) == Support::kNative) return precision;
   }
   return Precision::kFloat32;
@@ -113,8 +136,8 @@ Precision native_precision(Precision wanted, int depth) {
 
 namespace {
 
-// Numbers that each column has beside its weights: bias, scale, sum.
-int numbers_of_column(Precision precision) {
+// Numbers that each column has beside its weights: bias, scale, sums.
+int numbers_of_column(Precision precision, int runs) {
   switch (precision) {
     case Precision::kFloat32:
     case Precision::kBfloat16:
@@ -122,15 +145,15 @@ int numbers_of_column(Precision precision) {
     case Precision::kFloat16:
       return 2;
     case Precision::kInt8:
-      return 3;
+      return 2 + runs;
   }
   return 1;
 }
 
 }  // namespace
 
-std::size_t packed_floats(int depth, int columns, Precision precision) {
-  const int words = depth / numbers_per_word(precision) + numbers_of_column(precision);
+std::size_t packed_floats(int depth, int columns, Precision precision, int runs) {
+  const int words = depth / numbers_per_word(precision) + numbers_of_column(precision, runs);
   return static_cast<std::size_t>(words) * static_cast<std::size_t>(padded(columns));
 }
 
@@ -173,15 +196,19 @@ std::uint32_t int8_quad(int k, int n, float scale, const Weight& weight) {
 }
 
 // Panels of columns that have one scale each, by their largest weight, and the sums of what remains
-// of their weights.
+// of their weights, run by run.
 void pack_int8(const PackedMatrix& m, const Weight& weight, std::span<float> panels,
                std::span<float> scale, std::span<float> sums) {
+  const int run_length = m.depth / static_cast<int>(sums.size() / scale.size());
   for (std::size_t n = 0; n < static_cast<std::size_t>(m.columns); ++n) {
     const int column = static_cast<int>(n);
     scale[n] = largest_of_column(m.depth, column, weight) / 127.0F;
-    int sum = 0;
-    for (int k = 0; k < m.depth; ++k) sum += rounded(weight(k, column), scale[n]);
-    sums[n] = scale[n] * static_cast<float>(sum);
+    std::size_t at = n;
+    for (int run = 0; run < m.depth; run += run_length, at += scale.size()) {
+      int sum = 0;
+      for (int k = run; k < run + run_length; ++k) sum += rounded(weight(k, column), scale[n]);
+      sums[at] = scale[n] * static_cast<float>(sum);
+    }
   }
   pack_panels(m.depth, m.columns, 4, panels, [&](int k, int n) {
     return word_of_bits(int8_quad(k, n, scale[static_cast<std::size_t>(n)], weight));
@@ -206,12 +233,12 @@ void pack_float16(const PackedMatrix& m, const Weight& weight, std::span<float> 
 }  // namespace
 
 PackedMatrix pack_matrix(int depth, int columns, const Weight& weight, std::span<const float> bias,
-                         std::span<float> out, Precision precision) {
-  LCDM_CHECK(out.size() == packed_floats(depth, columns, precision));
-  LCDM_CHECK(rows_fit(depth, precision));
+                         std::span<float> out, Precision precision, int runs) {
+  LCDM_CHECK(out.size() == packed_floats(depth, columns, precision, runs));
+  LCDM_CHECK(rows_fit(depth, precision, runs));
   const auto width = static_cast<std::size_t>(padded(columns));
   const std::span<float> of_columns =
-      out.last(width * static_cast<std::size_t>(numbers_of_column(precision)));
+      out.last(width * static_cast<std::size_t>(numbers_of_column(precision, runs)));
   const std::span<float> panels = out.first(out.size() - of_columns.size());
   std::fill(of_columns.begin(), of_columns.end(), 0.0F);
   std::copy(bias.begin(), bias.end(), of_columns.begin());
@@ -232,7 +259,9 @@ PackedMatrix pack_matrix(int depth, int columns, const Weight& weight, std::span
     case Precision::kInt8:
       matrix.scale = matrix.bias + width;
       matrix.sums = matrix.scale + width;
-      pack_int8(matrix, weight, panels, of_columns.subspan(width, width), of_columns.last(width));
+      matrix.sums_pitch = static_cast<std::ptrdiff_t>(width);
+      pack_int8(matrix, weight, panels, of_columns.subspan(width, width),
+                of_columns.subspan(2 * width));
       break;
   }
   return matrix;
@@ -242,6 +271,15 @@ void multiply_rows(const RowInput& a, const PackedMatrix& b, const RowOutput& ou
   LCDM_CHECK(a.runs * a.run_length == b.depth);
   LCDM_CHECK(a.runs == 1 || b.precision == Precision::kFloat32);
   HWY_DYNAMIC_DISPATCH(rows_of_floats)(a, b, out);
+}
+
+RowRange narrow_row(const float* from, int count, Precision precision, float* words) {
+  return HWY_DYNAMIC_DISPATCH(words_of_row)(from, count, precision, words);
+}
+
+void multiply_narrow_rows(const NarrowInput& a, const PackedMatrix& b, const RowOutput& out) {
+  LCDM_CHECK(a.words.runs * a.words.run_length * numbers_per_word(b.precision) == b.depth);
+  HWY_DYNAMIC_DISPATCH(rows_of_words)(a, b, out);
 }
 
 }  // namespace lcdm::kernels

@@ -1,6 +1,7 @@
 // Matrices as the register tile wants them: weights packed in panels, activations as strided rows.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -35,10 +36,12 @@ inline constexpr int kRowsOfRange = 8;
 // Words of rows that are held narrow at a time: half of a first cache of 32 KB. Rows of one range
 // must fit, so a narrow matrix has at most kNarrowWords / kRowsOfRange words of depth.
 inline constexpr int kNarrowWords = 4096;
-// Whether rows of so many numbers can be made words of that precision.
-constexpr bool rows_fit(int depth, Precision precision) {
+// Whether rows of so many numbers, in so many runs, can be made words of that precision. Several
+// runs come as words already (NarrowInput).
+constexpr bool rows_fit(int depth, Precision precision, int runs = 1) {
   if (precision == Precision::kFloat32) return true;
   const int per_word = numbers_per_word(precision);
+  if (runs > 1) return depth / runs % per_word == 0;
   return depth % per_word == 0 && depth / per_word <= kNarrowWords / kRowsOfRange;
 }
 
@@ -50,7 +53,9 @@ struct PackedMatrix {
   int columns = 0;                // N
   Precision precision = Precision::kFloat32;
   const float* scale = nullptr;  // kInt8, kFloat16: weight = scale * narrow
-  const float* sums = nullptr;   // kInt8: of each column's weights, as they were rounded
+  // kInt8: of each column's weights, as they were rounded; for each run of a row, as the next says.
+  const float* sums = nullptr;
+  std::ptrdiff_t sums_pitch = 0;  // from one run's to the next
 };
 
 // Floats in a vector on this processor; packing depends on it.
@@ -61,15 +66,16 @@ enum class Support : std::uint8_t { kNone, kSlow, kNative };
 Support support_of(Precision precision);
 // The one asked for where it is native, else the next more exact one.
 Precision native_precision(Precision wanted);
-// The same for rows of `depth` numbers: they must fit it too.
-Precision native_precision(Precision wanted, int depth);
+// The same for rows of `depth` numbers in so many runs: they must fit it too.
+Precision native_precision(Precision wanted, int depth, int runs = 1);
 // Floats that pack_matrix writes: panels, bias, and scale and sums where there are some.
-std::size_t packed_floats(int depth, int columns, Precision precision = Precision::kFloat32);
+std::size_t packed_floats(int depth, int columns, Precision precision = Precision::kFloat32,
+                          int runs = 1);
 // Packs weight(k, n) and bias[n] (empty: zeros) into `out` and returns the view of it. Rows of
-// `depth` numbers fit the precision.
+// `depth` numbers in `runs` runs fit the precision.
 PackedMatrix pack_matrix(int depth, int columns, const std::function<float(int, int)>& weight,
                          std::span<const float> bias, std::span<float> out,
-                         Precision precision = Precision::kFloat32);
+                         Precision precision = Precision::kFloat32, int runs = 1);
 
 // Rows to multiply: row m is the concatenation of `runs` pieces, each `run_length` floats from
 // run[r] + m * stride. runs * run_length is the matrix's depth.
@@ -79,6 +85,19 @@ struct RowInput {
   int run_length = 0;
   std::ptrdiff_t stride = 0;
   int rows = 0;
+};
+
+// What narrow numbers mean: number = low + scale * narrow. Low is 0 but for bytes.
+struct RowRange {
+  float low = 0;
+  float scale = 0;
+};
+
+// Rows of words of the matrix's precision: lengths and strides are in words, and each run has one
+// range for all its rows.
+struct NarrowInput {
+  RowInput words;
+  std::array<RowRange, 3> ranges;
 };
 
 // Where the products go: row m at data + m * stride, the residual (or null) alike.
@@ -92,5 +111,10 @@ struct RowOutput {
 // out = activation(a * b + bias + residual), over all rows of `a`. Where the matrix is narrow, rows
 // of one run are made so on the way, kRowsOfRange at a time: results depend on which those are.
 void multiply_rows(const RowInput& a, const PackedMatrix& b, const RowOutput& out);
+
+// `count` numbers as words; whole ones.
+RowRange narrow_row(const float* from, int count, Precision precision, float* words);
+// The same as multiply_rows, of rows that are words of the matrix's precision already.
+void multiply_narrow_rows(const NarrowInput& a, const PackedMatrix& b, const RowOutput& out);
 
 }  // namespace lcdm::kernels

@@ -37,12 +37,6 @@ HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
 
-// What a row's narrow numbers mean: number = low + scale * narrow. Low is 0 but for bytes.
-struct RowRange {
-  float low = 0;
-  float scale = 0;
-};
-
 struct FloatOperand {
   static constexpr Precision kPrecision = Precision::kFloat32;
   static constexpr bool kScaled = false;  // else sums are in units of their row and column

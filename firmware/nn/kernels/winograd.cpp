@@ -255,8 +255,11 @@ HWY_EXPORT(rows);
 HWY_EXPORT(scratch_floats);
 
 // Measured at XS, 640x192; below, the transforms and the fourfold weights cost what they save.
-bool winograd_pays(const Conv3x3& conv, int columns) {
-  return conv.stride == 1 && conv.channels >= 16 && columns >= 16 &&
+// Bytes are always faster at once, halves where channels are few.
+bool winograd_pays(const Conv3x3& conv, int columns, Precision direct) {
+  if (direct == Precision::kInt8) return false;
+  const int fewest = direct == Precision::kFloat32 ? 16 : 32;
+  return conv.stride == 1 && conv.channels >= fewest && columns >= 16 &&
          conv.height * conv.width >= 400;
 }
 

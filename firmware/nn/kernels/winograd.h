@@ -19,8 +19,8 @@ struct WinogradConv {
   const float* panels = nullptr;  // kWinogradProducts packed matrices, packed_floats() apart
 };
 
-// Whether the transforms pay at this size.
-bool winograd_pays(const Conv3x3& conv, int columns);
+// Whether the transforms pay at this size, beside direct sums in that precision.
+bool winograd_pays(const Conv3x3& conv, int columns, Precision direct = Precision::kFloat32);
 
 // Floats of the panels.
 std::size_t winograd_floats(int channels, int columns);
