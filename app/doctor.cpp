@@ -15,8 +15,8 @@
 #include "app/calibration_file.h"
 #include "app/common_options.h"
 #include "app/http_token.h"
-#include "drivers/folder.h"
 #include "drivers/v4l2_device.h"
+#include "firmware/base/folder.h"
 
 namespace lcdm {
 namespace {

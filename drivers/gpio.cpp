@@ -6,8 +6,8 @@
 #include <system_error>
 #include <vector>
 
-#include "drivers/folder.h"
 #include "drivers/gpio_chip.h"
+#include "firmware/base/folder.h"
 
 namespace lcdm {
 namespace {

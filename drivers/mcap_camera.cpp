@@ -7,7 +7,7 @@
 #include <thread>
 
 #include "drivers/codec.h"
-#include "drivers/folder.h"
+#include "firmware/base/folder.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {

@@ -11,7 +11,7 @@
 #include <nlohmann/json.hpp>
 #include <system_error>
 
-#include "drivers/folder.h"
+#include "firmware/base/folder.h"
 
 namespace lcdm::replay {
 namespace {

@@ -7,7 +7,7 @@
 #include <optional>
 #include <system_error>
 
-#include "drivers/folder.h"
+#include "firmware/base/folder.h"
 
 namespace lcdm {
 namespace {

@@ -8,9 +8,9 @@
 #include <system_error>
 #include <utility>
 
-#include "drivers/folder.h"
 #include "drivers/v4l2_device.h"
 #include "drivers/v4l2_formats.h"
+#include "firmware/base/folder.h"
 
 namespace lcdm {
 namespace {

@@ -13,8 +13,8 @@
 #include <system_error>
 
 #include "drivers/codec.h"
-#include "drivers/folder.h"
 #include "drivers/replay_files.h"
+#include "firmware/base/folder.h"
 
 namespace lcdm::model::dataset {
 namespace {

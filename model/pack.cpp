@@ -7,7 +7,7 @@
 #include <opencv2/imgproc.hpp>
 #include <sstream>
 
-#include "drivers/folder.h"
+#include "firmware/base/folder.h"
 #include "firmware/nn/json.h"
 
 namespace lcdm::model {

@@ -1,4 +1,4 @@
-#include "drivers/folder.h"
+#include "firmware/base/folder.h"
 
 #include <algorithm>
 
