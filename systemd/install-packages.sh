@@ -12,7 +12,7 @@ set -euo pipefail
 
 run=(
   build-essential cmake ninja-build pkg-config libeigen3-dev libhwy-dev libopencv-dev
-  libjpeg-dev libturbojpeg0-dev libpng-dev libcivetweb-dev libcli11-dev libtoml11-dev
+  libjpeg-dev libpng-dev libcivetweb-dev libcli11-dev libtoml11-dev
   nlohmann-json3-dev libudev-dev libsystemd-dev libgpiod-dev
 )
 run_optional=(libcamera-dev)  # left out where the distribution has none

@@ -24,7 +24,7 @@ if [[ -e $folder/usr/include/libcamera ]]; then
   exit 0
 fi
 libraries=(
-  libc6-dev libstdc++-12-dev libeigen3-dev libhwy-dev libopencv-dev libjpeg-dev libturbojpeg0-dev
+  libc6-dev libstdc++-12-dev libeigen3-dev libhwy-dev libopencv-dev libjpeg-dev
   libpng-dev libcivetweb-dev libcli11-dev libtoml11-dev nlohmann-json3-dev libgtest-dev
   libgmock-dev libumockdev-dev libudev-dev libsystemd-dev libgpiod-dev libcamera-dev
 )
