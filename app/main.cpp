@@ -26,9 +26,9 @@ void quiet_libraries() {
 // served somebody keeps what it once needed, and a program that runs for months grows by that.
 // Those that must not wait for the heap do not use it.
 void keep_heap_small() {
-  constexpr int kLargeBlock = 128 << 10;  // glibc's own, which else grows with what is freed
-  mallopt(M_ARENA_MAX, 1);
-  mallopt(M_MMAP_THRESHOLD, kLargeBlock);
+  constexpr int kLargeBlock = 128 << 10;   // glibc's own, which else grows with what is freed
+  mallopt(M_ARENA_MAX, 1);                 // NOLINT(concurrency-mt-unsafe): no threads yet
+  mallopt(M_MMAP_THRESHOLD, kLargeBlock);  // NOLINT(concurrency-mt-unsafe)
 }
 
 // LCDM_ISA=NAME: the kernels' instruction set, to compare them or to avoid one.

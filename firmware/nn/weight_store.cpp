@@ -113,7 +113,10 @@ Status WeightStore::store_taps(const Parameter& parameter, const float*& out) {
 Status WeightStore::pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out,
                                 Precision narrowest) {
   const std::vector<float> weight = load(layer.parameters[0]);
-  const auto at = [&](int k, int n) { return weight[static_cast<std::size_t>(n * depth + k)]; };
+  const auto at = [&](int k, int n) {
+    return weight[static_cast<std::size_t>(n) * static_cast<std::size_t>(depth) +
+                  static_cast<std::size_t>(k)];
+  };
   const Precision precision = precision_for(depth, narrowest);
   return pack(depth, layer.output.channels, at, bias_of(layer), precision, out);
 }
