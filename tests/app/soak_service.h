@@ -2,6 +2,7 @@
 // be done to its disk and its clients.
 #pragma once
 
+#include <chrono>
 #include <csignal>
 #include <filesystem>
 #include <fstream>
@@ -13,6 +14,7 @@
 #include <sys/ptrace.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
+#include <thread>
 #include <vector>
 
 #include "tests/app/program.h"
@@ -86,7 +88,10 @@ class SoakService {
   // The disk takes nothing: the thread that writes to it stands still, as in a write() that does
   // not return. False: this machine does not let us hold it.
   bool halt_disk() {
-    writer_ = program_->thread_of("record");
+    // It has its name a moment after it was started.
+    for (int i = 0; i < 50 && (writer_ = program_->thread_of("record")) == 0; ++i) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
     if (writer_ == 0 || ptrace(PTRACE_SEIZE, writer_, nullptr, nullptr) != 0) return false;
     ptrace(PTRACE_INTERRUPT, writer_, nullptr, nullptr);
     return waitpid(writer_, nullptr, __WALL) == writer_;
