@@ -92,7 +92,7 @@ host_end='ip netns exec host'
 usb_network() {
   set_service LCDM_HTTP_LISTEN=127.0.0.1,10.0.2.15,192.168.58.1
   within 60 depth_flows >&2 || return
-  on_guest 'journalctl -b -u lcdm | grep -q "does not have 192.168.58.1: left out"' || return
+  on_guest 'journalctl -b -u lcdm | grep -q "192.168.58.1 cannot be had on this machine now: left out"' || return
   on_guest 'modprobe dummy_hcd && modprobe cdc_ncm && systemctl start lcdm-usb' >&2 || return
   usb_host_gets_address >&2 || return
   within 60 usb_page_answers >&2 || return
