@@ -30,8 +30,7 @@ const char* addresses_objection(const std::string& text) {
     return nullptr;
   }
   return "is no numeric address: use 127.0.0.1 (this machine only), 0.0.0.0 (everybody), or "
-         "several "
-         "with commas between";
+         "several with commas between";
 }
 
 const char* line_objection(const std::string& text) {

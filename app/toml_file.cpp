@@ -23,8 +23,8 @@ std::string first_line(const std::string& what) {
 
 constexpr int kDeepest = 16;  // lists and tables in each other: more than any configuration needs
 
-// The most dots of one dotted key in `line`: a table in a table each. Those in quotes are none,
-// where `quotes` can be told.
+// The most dots of one dotted key in `line`: a table in a table each. Those in quotes and in a
+// comment are none, where `quotes` can be told.
 int most_dots(const std::string& line, bool quotes) {
   int dots = 0;
   int most = 0;
@@ -36,6 +36,8 @@ int most_dots(const std::string& line, bool quotes) {
       if (c == quote) quote = 0;
     } else if (quotes && (c == '"' || c == '\'')) {
       quote = c;
+    } else if (quotes && c == '#') {
+      break;
     } else if (c == '.') {
       most = std::max(most, ++dots);
     } else if (std::string_view(",=[]{}").find(c) != std::string_view::npos) {

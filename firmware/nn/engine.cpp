@@ -25,10 +25,9 @@ constexpr int kSpoiltBorder = 4;
 template <typename T>
 void repeat_border(T* depth, int width, int height) noexcept {
   const auto row = [&](int y) { return depth + static_cast<std::ptrdiff_t>(y) * width; };
-  const int left = kSpoiltBorder;
   const int right = width - kSpoiltBorder;
   for (int y = kSpoiltBorder; y < height - kSpoiltBorder; ++y) {
-    std::fill(row(y), row(y) + left, row(y)[left]);
+    std::fill_n(row(y), kSpoiltBorder, row(y)[kSpoiltBorder]);
     std::fill(row(y) + right, row(y) + width, row(y)[right - 1]);
   }
   for (int y = 0; y < kSpoiltBorder; ++y) {
