@@ -151,6 +151,7 @@ void Service::announce_source() {
   std::printf("model   %s, %dx%d, %d thread%s, %s\n", stats.model_name.c_str(), stats.width,
               stats.height, stats.threads, stats.threads == 1 ? "" : "s",
               to_string(stats.precision));
+  std::printf("licence %s\n", stats.model_licence.c_str());
   if (!stats.memory_locked) {
     std::printf(
         "warning: its weights and activations may be swapped out (raise LimitMEMLOCK= or ulimit "

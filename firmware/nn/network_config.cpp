@@ -1,5 +1,6 @@
 #include "firmware/nn/network_config.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -43,10 +44,14 @@ Status read_double(const JsonValue& object, const char* key, double low, double 
   return Status::ok();
 }
 
+// It is printed: nothing in it may steer a terminal.
 Status read_text(const JsonValue& object, const char* key, std::string& out) {
   const JsonValue* value = object.find(key);
   const auto text = value != nullptr ? value->text() : std::nullopt;
-  if (!text || text->size() > kMaxText) return bad_key(key, "a text of at most 4096 bytes");
+  const auto is_control = [](char c) { return static_cast<unsigned char>(c) < 0x20 || c == 0x7F; };
+  if (!text || text->size() > kMaxText || std::any_of(text->begin(), text->end(), is_control)) {
+    return bad_key(key, "a text of at most 4096 bytes without control characters");
+  }
   out = *text;
   return Status::ok();
 }

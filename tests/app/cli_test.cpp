@@ -200,6 +200,7 @@ TEST_F(Cli, RunServesItsPageAndEndsWhenToldTo) {
     Program program(LCDM_PROGRAM, small({"run", "--source", "scene:", "--port", "0"}));
     ASSERT_TRUE(program.wait_for("page    http://127.0.0.1:")) << program.text();
     ASSERT_TRUE(program.wait_for("streaming")) << program.text();
+    EXPECT_THAT(program.text(), HasSubstr("\nlicence "));
     const std::size_t at = program.text().find("http://127.0.0.1:") + 17;
     const int port = std::stoi(program.text().substr(at));
 
