@@ -105,9 +105,9 @@ Result<cv::Matx44d> rectified_from_scanner(const Calibration& cameras, const fs:
   return rectify * to_camera;
 }
 
-// The projection is rounded half to even, minus one (the development kit counts pixels from
-// 1), the nearest point of a pixel. Theirs also mixes the last column of a row with the first of
-// the next, an oversight in their indices that the evaluation's crop hides; it is not repeated.
+// The projection is rounded half to even, minus one (the development kit counts pixels from 1); the
+// nearest point of a pixel counts. The published evaluations also mix the last column of a row with
+// the first of the next, an oversight in their indices that their crop hides; it is not repeated.
 cv::Mat project_sweep(const std::string& bytes, const KittiCamera& camera, bool scanner_depth) {
   cv::Mat depth = cv::Mat::zeros(camera.model.height, camera.model.width, CV_32F);
   for (std::size_t at = 0; at + 16 <= bytes.size(); at += 16) {

@@ -57,6 +57,13 @@ std::unique_ptr<Trainer> trainer_of(const Recipe& recipe,
   return std::move(*trainer);
 }
 
+TEST(Trainer, RefusesPacksOfWhichOneShapeHasNone) {
+  std::vector<Pack> packs = scene_packs();
+  packs[0].use.tall_share = 0;
+  EXPECT_EQ(Trainer::make(small_recipe(), packs, one_cpu()).code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(Trainer::make(small_recipe(), {}, one_cpu()).code(), StatusCode::kInvalidInput);
+}
+
 // With moving batch-norm statistics, and over the step where the head joins.
 TEST(Trainer, ResumesBitExactly) {
   at::set_num_threads(1);
