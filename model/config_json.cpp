@@ -17,7 +17,7 @@ std::string array(const T& values) {
 
 }  // namespace
 
-std::string config_json(const ModelConfig& config) {
+Result<std::string> config_json(const ModelConfig& config) {
   std::string sizes = "[";
   for (const auto& size : config.trained_sizes)
     sizes += (sizes.size() > 1 ? ", " : "") + array(size);
@@ -33,7 +33,9 @@ std::string config_json(const ModelConfig& config) {
       << R"(", "canonical_focal": )" << config.canonical_focal << R"(}, "trained_sizes": )" << sizes
       << R"(, "licence": )" << json_quoted(config.licence) << R"(, "name": )"
       << json_quoted(config.name) << R"(, "card": )" << json_quoted(config.card) << "}";
-  return out.str();
+  const std::string json = out.str();
+  LCDM_RETURN_IF_ERROR(parse_model_config(json).status());
+  return json;
 }
 
 }  // namespace lcdm::model

@@ -7,7 +7,8 @@
 
 namespace lcdm::model {
 
-// What parse_model_config reads back as `config`.
-std::string config_json(const ModelConfig& config);
+// What parse_model_config reads back as `config`. Its error where it would not: nothing is written
+// that cannot be read.
+Result<std::string> config_json(const ModelConfig& config);
 
 }  // namespace lcdm::model

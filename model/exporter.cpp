@@ -77,7 +77,9 @@ Tensors fold_network(const DepthNetwork& network) {
 }
 
 Status export_network(const DepthNetwork& network, const std::string& path) {
-  TensorFile file{fold_network(network), {{"lcdm", config_json(network->config)}}};
+  const Result<std::string> config = config_json(network->config);
+  if (!config) return config.status();
+  TensorFile file{fold_network(network), {{"lcdm", *config}}};
   for (auto& [name, tensor] : file.tensors) {
     tensor = tensor.to(torch::kFloat16).contiguous();
     if (!torch::isfinite(tensor).all().item<bool>()) {

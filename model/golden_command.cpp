@@ -45,8 +45,10 @@ Status run(const Options& options) {
 
   FoldedNet net(*file);
   net.forward(input.permute({2, 0, 1}).unsqueeze(0).contiguous());
+  const Result<std::string> config = config_json(file->config());
+  if (!config) return config.status();
   TensorFile fixture;
-  fixture.metadata["lcdm"] = config_json(file->config());
+  fixture.metadata["lcdm"] = *config;
   fixture.tensors["input"] = input.contiguous();
   for (const auto& [layer, value] : net.outputs()) fixture.tensors[layer] = sampled(value);
   fixture.tensors["depth"] =

@@ -182,7 +182,7 @@ Status run(const Options& options) {
     LCDM_RETURN_IF_ERROR(start_from_trained(options, **trainer));
   }
   const std::string licence = licence_of((*trainer)->config(), *data);
-  (*trainer)->set_licence(licence);
+  LCDM_RETURN_IF_ERROR((*trainer)->set_licence(licence));
   if (leads) {
     const ModelConfig& config = (*trainer)->config();
     std::printf("variable mean %.4f deviation %.4f, from step %lld\nlicence of the weights: %s\n",

@@ -258,8 +258,9 @@ std::vector<LearnedFocal> Trainer::learned_focals() const {
   return focals;
 }
 
-void Trainer::set_licence(const std::string& licence) {
+Status Trainer::set_licence(const std::string& licence) {
   networks_->depth->config.licence = average_->config.licence = licence;
+  return config_json(config()).status();
 }
 
 bool Trainer::note_score(double score) {
@@ -376,7 +377,9 @@ Status Trainer::save(const std::string& path) const {
   optimizer_->save(file.tensors);
   file.tensors["trainer.step"] = torch::tensor({step_, images_}, torch::kLong);
   file.tensors["trainer.best"] = torch::tensor({best_, best_part_});
-  file.metadata["lcdm"] = config_json(config());
+  const Result<std::string> config = config_json(this->config());
+  if (!config) return config.status();
+  file.metadata["lcdm"] = *config;
   return write_tensors(path, file);
 }
 

@@ -80,8 +80,9 @@ class Trainer {
   const ModelConfig& config() const { return networks_->depth->config; }
   // By now, of the packs whose intrinsics are learned.
   std::vector<LearnedFocal> learned_focals() const;
-  // What the data asks of the weights; kept in the checkpoint.
-  void set_licence(const std::string& licence);
+  // What the data asks of the weights; kept in the checkpoint. kInvalidInput: the device would not
+  // read such a text.
+  Status set_licence(const std::string& licence);
 
   Status save(const std::string& path) const;
   // kInvalidInput: the checkpoint is of another network. The recipe's steps may differ.

@@ -119,7 +119,7 @@ TEST_P(Export, ComputesTheSameDepth) {
   DepthNetwork network(config_of(EncoderKind::kXxs, GetParam()));
   network->config.name = "a \"quoted\" name";
   network->config.licence = "none";
-  network->config.card = "two\nlines";
+  network->config.card = "one paragraph";
   shake_norms(network);
   network->eval();
   const std::string path =
@@ -137,6 +137,22 @@ TEST_P(Export, ComputesTheSameDepth) {
   const torch::Tensor theirs = FoldedNet(*file).forward(rgb);
   EXPECT_LT(((mine - theirs) / mine).abs().max().item<float>(), 0.02);  // half precision
   EXPECT_LT(((mine - theirs) / mine).abs().mean().item<float>(), 0.004);
+  std::filesystem::remove(path);
+}
+
+TEST(ExportedTexts, ThatTheDeviceWouldRefuseAreRefusedAndTheOldFileStays) {
+  DepthNetwork network(config_of(EncoderKind::kXxs, PresetKind::kLcdm));
+  network->config.name = "tiny";
+  network->config.licence = "none";
+  network->eval();
+  const std::string path =
+      (std::filesystem::path(testing::TempDir()) / "lcdm-export-text.safetensors").string();
+  ASSERT_TRUE(export_network(network, path));
+  network->config.card = "two\nlines";
+  const Status refused = export_network(network, path);
+  EXPECT_FALSE(refused);
+  EXPECT_NE(std::string(refused.text()).find("`card`"), std::string::npos) << refused.text();
+  EXPECT_TRUE(ModelFile::load(path));
   std::filesystem::remove(path);
 }
 

@@ -64,6 +64,12 @@ TEST(Trainer, RefusesPacksOfWhichOneShapeHasNone) {
   EXPECT_EQ(Trainer::make(small_recipe(), {}, one_cpu()).code(), StatusCode::kInvalidInput);
 }
 
+TEST(Trainer, RefusesALicenceThatNoCheckpointCouldHold) {
+  const auto trainer = trainer_of(small_recipe());
+  EXPECT_TRUE(trainer->set_licence("MIT; HoloLens"));
+  EXPECT_EQ(trainer->set_licence("two\nlines").code(), StatusCode::kInvalidInput);
+}
+
 // With moving batch-norm statistics, and over the step where the head joins.
 TEST(Trainer, ResumesBitExactly) {
   at::set_num_threads(1);
