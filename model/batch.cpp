@@ -141,7 +141,7 @@ Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const Batch
   out.rgb = out.plain.clone();
   jitter_colour(out.rgb, random);
   degrade(out.rgb, random);
-  cv::resize(frame.depth(crop), out.depth, size, 0, 0, cv::INTER_NEAREST);
+  cv::resize(frame.depth(crop), out.depth, size, 0, 0, cv::INTER_NEAREST_EXACT);
   out.depth *= shape.canonical_focal / out.camera.fx;
   if (views) {
     const Result<cv::Mat> earlier = pack.frames->neighbour(index, -1);

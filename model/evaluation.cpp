@@ -58,16 +58,11 @@ cv::Mat colour_of(const cv::Mat& depth) {
 }  // namespace
 
 cv::Size deployed_size(cv::Size picture, double share) {
-  const auto distance = [&picture](const int(&size)[2]) {
-    return std::fabs(
-        std::log(static_cast<double>(size[0]) / size[1] * picture.height / picture.width));
-  };
-  const int(&best)[2] =
-      distance(kDeployed[0]) < distance(kDeployed[1]) ? kDeployed[0] : kDeployed[1];
+  const NetworkSize whole = choose_network_size({.width = picture.width, .height = picture.height});
   const auto scaled = [share](int side) {
     return std::max(64, static_cast<int>(std::lround(side * share / 32)) * 32);
   };
-  return {scaled(best[0]), scaled(best[1])};
+  return {scaled(whole.width), scaled(whole.height)};
 }
 
 namespace {

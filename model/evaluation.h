@@ -34,7 +34,7 @@ Estimator maps_estimator(const std::string& folder);
 Estimator folder_estimator(const std::string& folder);
 Estimator constant_estimator();
 
-// The network's deployed input size for a picture of this size.
+// The input size that the device chooses for a camera of this picture size, or a share of it.
 cv::Size deployed_size(cv::Size picture, double share = 1);
 
 // The picture as a camera sees it that moves `length` pixels of a 640 pixels wide picture while it

@@ -55,7 +55,7 @@ class Make3dFrames final : public Frames {
       PackFrame frame;
       frame.name = names_[index];
       frame.rgb = dataset::reduced(*rgb, max_width_);
-      cv::resize(*grid, frame.depth, frame.rgb.size(), 0, 0, cv::INTER_NEAREST);
+      cv::resize(*grid, frame.depth, frame.rgb.size(), 0, 0, cv::INTER_NEAREST_EXACT);
       frame.camera = assumed_camera(frame.rgb.size());
       if (central_) keep_centre(frame);
       return frame;

@@ -34,7 +34,8 @@ Result<PackFrame> frame_of(const std::string& name, const cv::Mat& rgb, const cv
   PackFrame frame;
   frame.name = name;
   frame.rgb = dataset::reduced(rgb, max_width);
-  cv::resize(dataset::plausible(depth), frame.depth, frame.rgb.size(), 0, 0, cv::INTER_NEAREST);
+  cv::resize(dataset::plausible(depth), frame.depth, frame.rgb.size(), 0, 0,
+             cv::INTER_NEAREST_EXACT);
   frame.camera = kCamera;
   if (frame.rgb.cols != kCamera.width) {
     frame.camera = kCamera.resized(frame.rgb.cols, frame.rgb.rows);

@@ -140,7 +140,7 @@ Result<cv::Mat> load_depth(const fs::path& folder, const std::string& frame, con
   if (!map) return map.status();
   cv::Mat depth;
   if (use.teacher == Teacher::kSensor) {
-    cv::resize(*map, depth, size, 0, 0, cv::INTER_NEAREST);
+    cv::resize(*map, depth, size, 0, 0, cv::INTER_NEAREST_EXACT);
     return depth;
   }
   const Result<cv::Range> rows = teacher_rows(maps, full.height);
@@ -287,13 +287,17 @@ Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, 
 }
 
 cv::Mat resize_inverse(const cv::Mat& depth, cv::Size size) {
+  const cv::Mat known = depth > 0;
   cv::Mat inverse = 1 / cv::max(depth, 1e-3);
+  inverse.setTo(0, ~known);
   cv::Mat resized;
   cv::resize(inverse, resized, size, 0, 0, cv::INTER_LINEAR);
+  cv::Mat share;  // of a pixel that comes from known ones
+  known.convertTo(share, CV_32F, 1.0 / 255);
+  cv::Mat resized_share;
+  cv::resize(share, resized_share, size, 0, 0, cv::INTER_LINEAR);
   cv::Mat out = 1 / resized;
-  cv::Mat valid;
-  cv::resize(depth, valid, size, 0, 0, cv::INTER_NEAREST);
-  out.setTo(0, valid <= 0);
+  out.setTo(0, resized_share < 0.999);
   return out;
 }
 

@@ -58,7 +58,7 @@ Split split_frames(const std::vector<std::string>& names);
 Result<Pack> load_pack(const std::filesystem::path& root, const PackUse& use, int max_width,
                        std::size_t every = 1);
 
-// Inverse depth resized bilinearly, holes kept holes: for teachers whose maps have no holes.
+// Inverse depth resized bilinearly. 0 where anything of a hole would go in.
 cv::Mat resize_inverse(const cv::Mat& depth, cv::Size size);
 
 }  // namespace lcdm::model
