@@ -80,6 +80,7 @@ CaptureRequest capture_request(const Config& config) {
   request.assumed_field_of_view = static_cast<float>(config.camera.field_of_view);
   request.controls = {config.camera.exposure_ms, config.camera.gain,
                       config.camera.white_balance_kelvin, config.camera.power_line_hz};
+  request.format = parse_pixel_format(config.camera.format);
   return request;
 }
 

@@ -20,6 +20,13 @@ const char* source_objection(const std::string& text) {
   return text == "auto" || is_source_uri(text) ? nullptr : kObjection.c_str();
 }
 
+const char* format_objection(const std::string& text) {
+  return text.empty() || parse_pixel_format(text)
+             ? nullptr
+             : "is no format we read: use YUYV, UYVY, NV12, NV21, RGB24, BGR24, GREY or MJPEG, or "
+               "leave it empty";
+}
+
 const char* precision_objection(const std::string& text) {
   return parse_precision(text) ? nullptr : "is no precision: use fp32, fp16, bf16 or int8";
 }
@@ -247,6 +254,7 @@ std::vector<ConfigField> config_fields(Config& c) {
       {"camera", "width", &c.camera.width, 32, 8192},
       {"camera", "height", &c.camera.height, 32, 8192},
       {"camera", "frames_per_second", &c.camera.frames_per_second, 0.1, 1000},
+      {"camera", "format", &c.camera.format, 0, 0, &format_objection},
       {"camera", "field_of_view", &c.camera.field_of_view, 5, 170},
       {"camera", "calibration", &c.camera.calibration},
       {"camera", "exposure_ms", &c.camera.exposure_ms, 0, 10'000},

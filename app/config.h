@@ -17,6 +17,7 @@ struct Config {
     int width = 640;
     int height = 480;
     double frames_per_second = 30;
+    std::string format;
     double field_of_view = 65;
     std::string calibration;
     double exposure_ms = 0;

@@ -102,6 +102,7 @@ Status LibcameraSession::choose_format(const CaptureRequest& request) {
   libcamera::StreamConfiguration& stream = configuration_->at(0);
   const auto listed = stream.formats().pixelformats();
   for (const KnownFormat& known : known_formats()) {
+    if (request.format.value_or(known.pixel) != known.pixel) continue;
     if (!listed.empty() && std::find(listed.begin(), listed.end(), known.format) == listed.end()) {
       continue;
     }
@@ -116,9 +117,9 @@ Status LibcameraSession::choose_format(const CaptureRequest& request) {
               compressed ? 0 : static_cast<int>(stream.stride)};
     if (compressed || is_picture(format)) return Status::ok();
   }
-  return Status::error(StatusCode::kUnsupported,
-                       "libcamera:%s: gives none of NV12, NV21, YUYV, UYVY, RGB, MJPEG and R8",
-                       id_.c_str());
+  return Status::error(StatusCode::kUnsupported, "libcamera:%s: gives %s", id_.c_str(),
+                       request.format ? "no picture in that format: leave camera.format empty"
+                                      : "none of NV12, NV21, YUYV, UYVY, RGB, MJPEG and R8");
 }
 
 Status LibcameraSession::map_buffers() {

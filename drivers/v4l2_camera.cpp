@@ -29,7 +29,7 @@ Status V4l2Camera::open_and_configure(const CaptureRequest& request) {
   LCDM_RETURN_IF_ERROR(device_.open(*node));
   const std::vector<V4l2Mode> modes = list_modes(device_, request);
   const std::optional<V4l2Choice> choice = choose_mode(modes, request);
-  if (!choice) return no_known_format(device_, modes);
+  if (!choice) return no_known_format(device_, modes, request);
   const Result<FrameFormat> format = queue_.set_format(*choice);
   if (!format) return format.status();
   format_ = *format;

@@ -197,6 +197,7 @@ std::optional<V4l2Choice> choose_mode(const std::vector<V4l2Mode>& modes,
                                       const CaptureRequest& request) {
   std::vector<Candidate> candidates;
   for (const auto& [fourcc, pixel] : kKnownFormats) {
+    if (request.format.value_or(pixel) != pixel) continue;
     const auto mode = nearest_of(modes, fourcc, request);
     if (mode) candidates.push_back({*mode, pixel, cost_of(*mode, pixel, request)});
   }
@@ -209,12 +210,19 @@ std::optional<V4l2Choice> choose_mode(const std::vector<V4l2Mode>& modes,
                     candidates.size() < 2 ? "" : reason_for(best, candidates[1])};
 }
 
-Status no_known_format(const V4l2Device& device, const std::vector<V4l2Mode>& modes) {
+Status no_known_format(const V4l2Device& device, const std::vector<V4l2Mode>& modes,
+                       const CaptureRequest& request) {
   std::string offered;
   std::uint32_t last = 0;
   for (const V4l2Mode& mode : modes) {
     if (mode.fourcc != last) offered += (offered.empty() ? "" : ", ") + fourcc_text(mode.fourcc);
     last = mode.fourcc;
+  }
+  if (request.format) {
+    return Status::error(StatusCode::kUnsupported,
+                         "v4l2:%s (%.32s): offers no %s, only %.80s: leave camera.format empty",
+                         device.path().c_str(), device.card().c_str(), to_string(*request.format),
+                         offered.empty() ? "no format" : offered.c_str());
   }
   return Status::error(StatusCode::kUnsupported,
                        "v4l2:%s (%.32s): offers %.60s; we read YUYV, UYVY, NV12, NV21, RGB24, "

@@ -47,11 +47,12 @@ struct V4l2Choice {
 
 // For each format its size nearest to the request is looked at. Of those: the nearest size, then
 // the rate reached, then colour over grey, then no decoding over decoding, then the fewest bytes.
-// Pure. Empty when no listed format is one we read.
+// Pure. Empty when no listed format is one we read, or the one the request names.
 std::optional<V4l2Choice> choose_mode(const std::vector<V4l2Mode>& modes,
                                       const CaptureRequest& request);
 
-// The refusal where choose_mode gives none: names what is offered and what we read.
-Status no_known_format(const V4l2Device& device, const std::vector<V4l2Mode>& modes);
+// The refusal where choose_mode gives none: names what is offered and what was wanted.
+Status no_known_format(const V4l2Device& device, const std::vector<V4l2Mode>& modes,
+                       const CaptureRequest& request);
 
 }  // namespace lcdm

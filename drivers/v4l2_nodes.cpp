@@ -76,7 +76,7 @@ V4l2Node examine(const std::string& path) {
   } else {
     const std::vector<V4l2Mode> modes = list_modes(device, {});
     node.usable = choose_mode(modes, {}).has_value();
-    if (!node.usable) node.reason = no_known_format(device, modes).text();
+    if (!node.usable) node.reason = no_known_format(device, modes, {}).text();
   }
   if (const fs::path usb = usb_folder_of(path); !usb.empty()) {
     node.usb = usb_node_in(usb);

@@ -34,6 +34,14 @@ const char* to_string(PixelFormat pixel) {
   return "unknown";
 }
 
+std::optional<PixelFormat> parse_pixel_format(std::string_view name) {
+  for (int i = 0; i <= static_cast<int>(PixelFormat::kMjpeg); ++i) {
+    const auto pixel = static_cast<PixelFormat>(i);
+    if (name == to_string(pixel)) return pixel;
+  }
+  return std::nullopt;
+}
+
 int packed_stride(PixelFormat pixel, int width) {
   switch (pixel) {
     case PixelFormat::kRgb24:

@@ -5,6 +5,8 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
+#include <string_view>
 
 namespace lcdm {
 
@@ -22,6 +24,8 @@ enum class PixelFormat : std::uint8_t {
 };
 
 const char* to_string(PixelFormat pixel);
+// By that name; null for any other text.
+std::optional<PixelFormat> parse_pixel_format(std::string_view name);
 
 struct FrameFormat {
   PixelFormat pixel = PixelFormat::kRgb24;

@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "firmware/base/status.h"
@@ -26,6 +27,7 @@ struct CaptureRequest {
   float frames_per_second = 30;
   float assumed_field_of_view = 65;  // degrees, horizontal; for sources that know no intrinsics
   ImageControls controls;
+  std::optional<PixelFormat> format{};  // of a device that has several; none: the cheapest for us
 };
 
 // The moment of a frame that its sensor_ns means.

@@ -51,14 +51,15 @@ Status assign(const std::string& text) {
   return config ? Status::ok() : config.status();
 }
 
-// But for the source: an installed device waits for a camera, where the program alone shows the
-// rendered scene.
+// But for the source, as an installed device waits for a camera where the program alone shows the
+// rendered scene, and for the address that the network over USB brings.
 TEST(ShippedConfig, HoldsTheDefaultsOfTheProgram) {
   const auto config = load_config({kShipped, {}, {}});
   ASSERT_TRUE(config) << config.status().text();
   Config expected;
   EXPECT_EQ(expected.camera.source, "auto");
   expected.camera.source = "v4l2:any";
+  expected.http.listen += ",192.168.58.1";
   EXPECT_TRUE(*config == expected);
 }
 

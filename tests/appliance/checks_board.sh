@@ -1,14 +1,5 @@
 # What hangs on the board: GPIO lines, the USB cable, cameras behind libcamera. Sourced by run.sh.
 
-# set_service NAME=VALUE...: more of the service's environment, in force after a restart.
-set_service() {
-  {
-    echo '[Service]'
-    printf 'Environment="%s"\n' "$@"
-  } | on_guest 'cat >/etc/systemd/system/lcdm.service.d/more.conf && systemctl daemon-reload &&
-    systemctl restart lcdm' >&2
-}
-
 # Drivers that Debian does not build. Without depmod, which takes minutes here; what vimc needs is
 # loaded with vivid.
 board_modules() {
@@ -86,11 +77,12 @@ gpio_power_off() {
 }
 guest_is_off() { ! kill -0 "$guest_pid" 2>/dev/null; }
 
-# The host's end of the cable is a network name space of the same guest. The service is up before the
-# network is: the address that it left out is one it listens on afterwards.
+# The host's end of the cable is a network name space of the same guest. The service listens as shipped
+# (and where we reach it), and is up before the network is: the address that it left out is one it listens
+# on afterwards.
 host_end='ip netns exec host'
 usb_network() {
-  set_service LCDM_HTTP_LISTEN=127.0.0.1,10.0.2.15,192.168.58.1
+  set_service "LCDM_HTTP_LISTEN=10.0.2.15,$(on_guest "sed -n 's/^listen = \"\(.*\)\"/\1/p' /etc/lcdm/lcdm.toml")"
   within 60 depth_flows >&2 || return
   on_guest 'journalctl -b -u lcdm | grep -q "192.168.58.1 cannot be had on this machine now: left out"' || return
   on_guest 'modprobe dummy_hcd && modprobe cdc_ncm && systemctl start lcdm-usb' >&2 || return
@@ -126,7 +118,10 @@ usb_down_and_up() {
     /usr/libexec/lcdm/usb-gadget down && systemctl start lcdm-usb &&
     /usr/libexec/lcdm/usb-gadget up' >&2 || return
   usb_host_gets_address >&2 || return
-  within 60 usb_page_answers
+  within 60 usb_page_answers >&2 || return
+  # A service that listens there already is left alone.
+  on_guest 'before=$(systemctl show lcdm -p MainPID); systemctl restart lcdm-usb; sleep 3
+    [ "$before" = "$(systemctl show lcdm -p MainPID)" ]'
 }
 
 # In place of Jetson's two programs stand ones that write down how they were called. As the real one,

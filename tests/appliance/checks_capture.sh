@@ -53,15 +53,48 @@ lost_frames() {
   within 20 depth_flows && $counted
 }
 
-# recovers COUNTER CONTROL: the fault is injected, the rung of the ladder counted (COUNTER: what of
-# the status; which rung it is depends on how long depth had been steady), depth comes back.
+# What the ladder's counters rose by since they were BEFORE: {"reopenings":1}.
+ladder() { status '.recovery | tostring'; }
+ladder_since() {
+  status ".recovery | with_entries(.value -= ($1)[.key] | select(.value != 0)) | tostring"
+}
+ladder_was_used() { [[ $(ladder_since "$1") != '{}' ]]; }
+
+# recovers RUNGS FAULT...: the fault comes after depth was steady (10 s), so that the ladder begins at
+# its first rung, and is gone when FAULT ends. Depth comes back, and RUNGS, a filter of jq, is true of
+# what the ladder's counters rose by.
 recovers() {
-  local before begin=$EPOCHREALTIME
-  before=$(status "$1") || return
-  vivid "$2=1"
-  within 30 rises "$1" "$before" >&2 || return
+  local rungs=$1 before begin used
+  shift
+  within 60 depth_flows >&2 || return
+  sleep $((11 * patience))
+  before=$(ladder) || return
+  begin=$EPOCHREALTIME
+  "$@" || return
+  within 30 ladder_was_used "$before" >&2 || return
   within 30 depth_flows >&2 || return
-  echo "$(seconds "$(elapsed_ms "$begin")"), recovery: $(status '.recovery | map_values(select(. > 0)) | tostring')"
+  used=$(ladder_since "$before")
+  echo "$(seconds "$(elapsed_ms "$begin")"), $used"
+  jq -e "$rungs" <<<"$used" >&2
+}
+
+# The stream runs, but for two seconds no frame comes.
+stall() {
+  on_guest 'v4l2-ctl -d /dev/video0 -c percentage_of_dropped_buffers=100; sleep 2
+    v4l2-ctl -d /dev/video0 -c percentage_of_dropped_buffers=0' >&2
+}
+
+# A driver that refuses its buffers, or the start of its stream, once: the service is up and tries
+# again by itself.
+start_is_refused() {
+  local refusal begin
+  for refusal in inject_vidioc_reqbufs_error inject_vidioc_qbuf_error inject_vidioc_streamon_error; do
+    on_guest "systemctl stop lcdm && v4l2-ctl -d /dev/video0 -c $refusal=1 && systemctl start lcdm" >&2 || return
+    begin=$EPOCHREALTIME
+    within 60 depth_flows >&2 || return
+    echo "$refusal: $(seconds "$(elapsed_ms "$begin")"), $(ladder)" | tee /dev/stderr
+    [[ $(on_guest systemctl show lcdm -p NRestarts --value) == 0 ]] || return
+  done
 }
 
 # Pulled out for seconds: said, shown, waited for; plugged in again.
@@ -97,6 +130,43 @@ buffers_are_shared() {
   jq -r '.v4l2[] | select(.usable) | "\(.path): dma_buf \(.dma_buf)"' "$work/probe.json" | grep 'dma_buf true'
 }
 
+# By its place on the bus and by its name; udev makes a link for the first.
+selected_by_place_and_name() {
+  local link
+  link=$(on_guest 'ls /dev/v4l/by-path/*video-index0 | head -1') && [[ -n $link ]] || return
+  set_service "LCDM_CAMERA_SOURCE=v4l2:$link"
+  within 60 depth_flows >&2 && [[ $(status .source.uri) == "v4l2:$link" ]] || return
+  set_service LCDM_CAMERA_SOURCE=v4l2:name=vivid
+  within 60 depth_flows >&2 || return
+  echo "$link; name=vivid is $(status .source.uri)"
+}
+
+# What the configuration says of the picture is in force in the driver.
+controls_are_set() {
+  set_service LCDM_CAMERA_GAIN=77
+  within 60 depth_flows >&2 || return
+  on_guest 'v4l2-ctl -d /dev/video0 -C gain,gain_automatic' | paste -sd' ' | tee "$work/controls"
+  [[ $(<"$work/controls") == 'gain: 77 gain_automatic: 0' ]] || return
+  set_service
+  within 60 depth_flows
+}
+
+# Each format that we read, from the queue that there is: the service starts with it, and its frames
+# become depth.
+every_format() {
+  local format seen=
+  for format in NV12 YUYV UYVY NV21 RGB24 BGR24 GREY; do
+    set_service "LCDM_CAMERA_FORMAT=$format"
+    within 60 depth_flows >&2 || { echo "no depth from $format"; return 1; }
+    status .source.description >&2
+    status .source.description | grep -q " $format " || { echo "asked for $format"; return 1; }
+    seen+="$format "
+  done
+  set_service
+  within 60 depth_flows >&2 || return
+  echo "$seen"
+}
+
 # reload_camera OPTION...: the same driver, loaded again with these options.
 reload_camera() {
   unplug
@@ -110,7 +180,7 @@ reload_camera() {
 several_planes() {
   reload_camera multiplanar=2 || return
   on_guest v4l2-ctl -d /dev/video0 -D | grep -q 'Video Capture Multiplanar' || return
-  status .source.description
+  every_format
 }
 
 # As when a camera is plugged in again before its old number is free: the shipped source takes the

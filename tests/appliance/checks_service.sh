@@ -31,6 +31,15 @@ boots_as_shipped() {
   [[ $(<"$work/shipped") == 'v4l2:any: waiting for camera' ]]
 }
 
+# As shipped 20 s; for this guest's sake only as long as one looks.
+hardware_watchdog_is_set() {
+  local mine=/etc/systemd/system.conf.d/zz-guest.conf shipped
+  shipped=$(on_guest "mv $mine /root/ && systemctl daemon-reexec
+    systemctl show -p RuntimeWatchdogUSec --value; mv /root/${mine##*/} $mine && systemctl daemon-reexec")
+  echo "$shipped"
+  [[ $shipped == 20s ]]
+}
+
 recordings_are_private() {
   local modes
   modes=$(on_guest 'stat -c "%a %U" /var/lib/lcdm /var/lib/lcdm/recordings | sort -u')
@@ -49,6 +58,15 @@ Environment=LCDM_HTTP_LISTEN=0.0.0.0
 END
   on_guest 'systemctl daemon-reload && systemctl restart lcdm' >&2 || return
   within 90 service_is_ready
+}
+
+# set_service [NAME=VALUE...]: what else is in the service's environment, in force after a restart.
+set_service() {
+  {
+    echo '[Service]'
+    (($# == 0)) || printf 'Environment="%s"\n' "$@"
+  } | on_guest 'cat >/etc/systemd/system/lcdm.service.d/more.conf && systemctl daemon-reload &&
+    systemctl restart lcdm' >&2
 }
 
 waits_without_camera() {
@@ -74,15 +92,48 @@ control_is_refused() {
   [[ $code == 401 || $code == 403 ]]
 }
 
-# A process that stands still, as one whose inference hangs: systemd kills it and starts another.
+# With a token the same is allowed to those who know it. The account of the service reads it, and it
+# is in no log.
+control_needs_the_token() {
+  local token=appliance-4711-once codes
+  on_guest "install -m 640 -g lcdm /dev/stdin /etc/lcdm/token <<<$token" >&2 || return
+  set_service LCDM_HTTP_TOKEN_FILE=/etc/lcdm/token
+  within 60 depth_flows >&2 || return
+  codes="$(http_code /record/stop -X POST) $(http_code /record/stop -X POST -H 'Authorization: Bearer wrong')"
+  codes+=" $(http_code /record/stop -X POST -H "Authorization: Bearer $token")"
+  echo "without, with another, with the token: $codes"
+  ! on_guest "journalctl -b | grep $token" >&2 || return
+  set_service
+  within 60 depth_flows >&2 && [[ $codes == '401 401 200' ]]
+}
+
+# Beside the service that works there is nothing it calls a fault.
+doctor_finds_no_fault() {
+  local rc=0
+  on_guest 'lcdm doctor --config /etc/lcdm/lcdm.toml' >&2 || rc=$?
+  on_guest 'lcdm doctor --config /etc/lcdm/lcdm.toml --json' >"$work/doctor.json" || rc=$?
+  jq -r '[.[].severity] | group_by(.) | map("\(length) \(.[0])") | join(", ")' "$work/doctor.json"
+  return "$rc"
+}
+
+# Either way of standing still: systemd kills it and starts another.
+freeze_process() { on_guest systemctl kill -s STOP lcdm; }
+# Only the thread that infers is held, in a group of its own: everything else answers, and the ping
+# must stop all the same.
+freeze_inference() {
+  on_guest 'cd /sys/fs/cgroup/system.slice/lcdm.service && mkdir held && echo threaded >held/cgroup.type &&
+    for task in /proc/$(systemctl show lcdm -p MainPID --value)/task/*; do
+      [ "$(cat $task/comm)" = infer ] && echo ${task##*/} >held/cgroup.threads
+    done && echo 1 >held/cgroup.freeze' >&2
+}
 watchdog_restarts() {
-  local before after begin=$EPOCHREALTIME
+  local before begin=$EPOCHREALTIME
   before=$(on_guest systemctl show lcdm -p NRestarts --value)
-  on_guest systemctl kill -s STOP lcdm
+  "$1" || return
   within 60 service_was_restarted "$before" >&2 || return
   within 60 depth_flows >&2 || return
-  on_guest journalctl -b -u lcdm | grep -q 'Watchdog timeout' || return
-  seconds "$(elapsed_ms "$begin")"
+  on_guest journalctl -b -u lcdm | grep -c 'Watchdog timeout' >"$work/watchdogs"
+  echo "$(seconds "$(elapsed_ms "$begin")"), $(<"$work/watchdogs") in this boot"
 }
 service_was_restarted() { (($(on_guest systemctl show lcdm -p NRestarts --value) > $1)); }
 
@@ -125,11 +176,18 @@ power_cut_keeps_recording() {
   ((span_ns > 6000000000))
 }
 
-# The same version again is an upgrade to dpkg: the service is restarted and configuration kept.
+# A newer package, whose configuration changed in a line: what the user wrote is kept, the new file
+# lies beside it, and the service is another process.
 package_upgrades() {
-  on_guest 'echo "# mine" >>/etc/lcdm/lcdm.toml && dpkg -i /root/lcdm.deb &&
-    grep -q "# mine" /etc/lcdm/lcdm.toml' >&2 || return
-  within 90 depth_flows
+  local before
+  before=$(on_guest systemctl show lcdm -p MainPID --value) || return
+  on_guest 'echo "# mine" >>/etc/lcdm/lcdm.toml && cd /root && rm -rf newer && dpkg-deb -R lcdm.deb newer &&
+    sed -i "s/^Version: .*/&+newer/" newer/DEBIAN/control && echo "# newer" >>newer/etc/lcdm/lcdm.toml &&
+    dpkg-deb -b newer newer.deb && dpkg -i --force-confdef --force-confold newer.deb &&
+    grep -q "# mine" /etc/lcdm/lcdm.toml && grep -q "# newer" /etc/lcdm/lcdm.toml.dpkg-dist' >&2 || return
+  within 90 depth_flows >&2 || return
+  on_guest dpkg-query -W -f '${Version}' lcdm
+  [[ $(on_guest systemctl show lcdm -p MainPID --value) != "$before" ]]
 }
 
 package_purges() {

@@ -47,6 +47,7 @@ check 'boots' boots
 check 'package installs, service is ready' package_installs
 check 'boots as shipped: waits for a camera' boots_as_shipped
 check 'recordings are private' recordings_are_private
+check 'hardware watchdog as shipped' hardware_watchdog_is_set
 check 'exposure 2.0 or better' exposure
 check 'Jetson: clocks up and back' jetson_power
 check 'service for an emulated processor' configure_service
@@ -55,16 +56,23 @@ check 'camera arrives after boot' camera_arrives
 check 'depth as a 16-bit picture' depth_picture
 check 'frame with the error flag' broken_frame
 check 'frames lost' lost_frames
-check 'fatal streaming error' recovers \
-  '.recovery | .stream_restarts + .reopenings' inject_fatal_streaming_error
-check 'camera disconnected' recovers .recovery.device_waits disconnect
+check 'fatal streaming error' recovers '. == {stream_restarts: 1}' vivid inject_fatal_streaming_error=1
+check 'stream stalls' recovers '.stream_restarts == 1 and .port_resets == null' stall
+check 'camera disconnected' recovers '. == {device_waits: 1}' vivid disconnect=1
+check 'camera refuses to start' start_is_refused
 check 'camera unplugged for seconds' camera_unplugged
 check 'stamps: those that can be' stamps_are_judged
 check 'buffers as dma-bufs' buffers_are_shared
-check 'multi-planar camera' several_planes
+check 'camera by its place and its name' selected_by_place_and_name
+check 'gain from the configuration' controls_are_set
+check 'every format, one plane' every_format
+check 'every format, multi-planar' several_planes
 check 'camera under another number' another_number
-check 'control from outside needs the token' control_is_refused
-check 'inference stalls: systemd watchdog' watchdog_restarts
+check 'control from outside is off' control_is_refused
+check 'control from outside needs the token' control_needs_the_token
+check 'doctor' doctor_finds_no_fault
+check 'process stands still: systemd watchdog' watchdog_restarts freeze_process
+check 'inference stalls: systemd watchdog' watchdog_restarts freeze_inference
 check 'kernel crashes: hardware watchdog' hardware_watchdog_resets
 check 'boot to first depth' boot_to_depth
 check 'power cut while recording' power_cut_keeps_recording

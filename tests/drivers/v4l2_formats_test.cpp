@@ -99,6 +99,17 @@ TEST(V4l2Formats, AnOnlyFormatNeedsNoReason) {
   EXPECT_EQ(choose({mode(V4L2_PIX_FMT_UYVY, 640, 480, {})}).reason, "");
 }
 
+TEST(V4l2Formats, ANamedFormatIsTakenWhateverItCosts) {
+  const std::vector<V4l2Mode> modes = {mode(V4L2_PIX_FMT_NV12, 640, 480, {30}),
+                                       mode(V4L2_PIX_FMT_MJPEG, 640, 480, {15})};
+  CaptureRequest request = kVga;
+  request.format = PixelFormat::kMjpeg;
+  EXPECT_EQ(choose_mode(modes, request)->pixel, PixelFormat::kMjpeg);
+  EXPECT_EQ(choose_mode(modes, request)->reason, "");
+  request.format = PixelFormat::kGrey;
+  EXPECT_FALSE(choose_mode(modes, request));
+}
+
 TEST(V4l2Formats, UnknownFormatsAreNoChoice) {
   EXPECT_FALSE(choose_mode(
       {mode(V4L2_PIX_FMT_SRGGB10, 640, 480, {30}), mode(V4L2_PIX_FMT_NV12M, 640, 480, {30})},
