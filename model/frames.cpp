@@ -13,8 +13,16 @@ bool MemoryFrames::has_neighbours(std::size_t index) const {
   return video_ && amid_a_sequence(*this, index);
 }
 
+Result<PackFrame> MemoryFrames::read(std::size_t index) const {
+  const auto why = unreadable_.find(index);
+  if (why != unreadable_.end()) return why->second;
+  return frames_[index];
+}
+
 Result<cv::Mat> MemoryFrames::neighbour(std::size_t index, int offset) const {
-  return frames_[index + static_cast<std::size_t>(offset)].rgb;
+  const Result<PackFrame> frame = read(index + static_cast<std::size_t>(offset));
+  if (!frame) return frame.status();
+  return frame->rgb;
 }
 
 std::string sequence_of(const std::string& name) {

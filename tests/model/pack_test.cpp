@@ -100,6 +100,25 @@ TEST_F(SmallPack, BadFilesAreNamed) {
   EXPECT_EQ(load_pack(root_, use_, 640).code(), StatusCode::kNotFound);
 }
 
+// A JPEG that lost its end would train as a picture with a grey lower half.
+TEST_F(SmallPack, SkipsAndNamesATruncatedPicture) {
+  const fs::path cut = root_ / "pack" / "rgb" / "000001.jpg";
+  cv::Mat noise(480, 640, CV_8UC3);
+  cv::randu(noise, 0, 255);
+  cv::imwrite(cut.string(), noise);
+  fs::resize_file(cut, fs::file_size(cut) * 37 / 100);
+  fs::copy_file(root_ / "pack" / "depth" / "000000.png", root_ / "pack" / "depth" / "000001.png");
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_TRUE(pack) << pack.status().text();
+  EXPECT_TRUE(pack->frames->read(0));
+  const Result<PackFrame> broken = pack->frames->read(1);
+  ASSERT_EQ(broken.code(), StatusCode::kCorrupt);
+  EXPECT_NE(std::string(broken.status().text()).find("000001.jpg"), std::string::npos);
+  const Result<Batch> batch = make_batch({*pack}, {96, 64, 80, 8, false}, 1, 1);
+  ASSERT_TRUE(batch) << batch.status().text();
+  EXPECT_GT(batch->unreadable, 0) << "counted, and another one drawn";
+}
+
 TEST_F(SmallPack, CropKeepsDepthAtTheCanonicalFocalLength) {
   const Result<Pack> pack = load_pack(root_, use_, 640);
   ASSERT_TRUE(pack);
