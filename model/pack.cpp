@@ -1,6 +1,7 @@
 #include "model/pack.h"
 
 #include <algorithm>
+#include <cmath>
 #include <fstream>
 #include <map>
 #include <opencv2/imgproc.hpp>
@@ -20,6 +21,7 @@ constexpr std::size_t kLeastTraining = 10;
 constexpr float kMapUnit = 1.0F / 256;
 constexpr std::size_t kKeptFrames = 1500;
 constexpr std::size_t kMostJsonBytes = 16U << 20;
+constexpr float kMostPixels = 1e6F;  // of a focal length
 
 std::vector<fs::path> files_of(const fs::path& folder, const std::string& extension) {
   const auto all = list_folder(folder);
@@ -32,6 +34,7 @@ std::vector<fs::path> files_of(const fs::path& folder, const std::string& extens
 
 // What intrinsics.json says that training needs.
 struct Intrinsics {
+  fs::path file;
   JsonValue json;
   double depth_unit = 0.001;
 };
@@ -51,43 +54,87 @@ Result<Intrinsics> read_clip_intrinsics(const fs::path& folder) {
                            ",\"cx\":" + std::to_string(cx) + ",\"cy\":" + std::to_string(cy) + "}";
   const Result<JsonValue> parsed = parse_json(json);
   if (!parsed) return parsed.status();
-  return Intrinsics{*parsed};
+  return Intrinsics{folder / "intrinsics.txt", *parsed};
 }
 
 Result<Intrinsics> read_intrinsics(const fs::path& folder) {
   if (fs::exists(folder / "intrinsics.txt")) return read_clip_intrinsics(folder);
-  const Result<std::string> text = dataset::read_bytes(folder / "intrinsics.json", kMostJsonBytes);
+  const fs::path file = folder / "intrinsics.json";
+  const Result<std::string> text = dataset::read_bytes(file, kMostJsonBytes);
   if (!text) return text.status();
   const Result<JsonValue> json = parse_json(*text);
   if (!json) {
-    return Status::error(StatusCode::kCorrupt, "%s/intrinsics.json: %s", folder.c_str(),
-                         json.status().text());
+    return Status::error(StatusCode::kCorrupt, "%s: %s", file.c_str(), json.status().text());
   }
-  Intrinsics out{*json};
+  Intrinsics out{file, *json};
   if (const JsonValue* unit = json->find("depth_unit_m"))
     out.depth_unit = unit->number().value_or(0);
   if (out.depth_unit <= 0) {
-    return Status::error(StatusCode::kCorrupt, "%s/intrinsics.json: depth_unit_m is not positive",
-                         folder.c_str());
+    return Status::error(StatusCode::kCorrupt, "%s: depth_unit_m is not positive", file.c_str());
   }
   return out;
 }
 
+// Where nothing is known of the camera but what the catalogue assumes.
+Result<CameraModel> assumed_camera(const fs::path& file, cv::Size size, float field_of_view) {
+  if (field_of_view > 0 && field_of_view < 180) {
+    return CameraModel::from_field_of_view(size.width, size.height, field_of_view);
+  }
+  return Status::error(StatusCode::kInvalidInput,
+                       "%s gives no fx, without which depth has no scale: write the focal length "
+                       "there in pixels, or field-of-view (degrees, horizontal, below 180) into "
+                       "the pack's entry of a catalogue (--data)",
+                       file.c_str());
+}
+
+// A number of `source`: `otherwise` where it has none, NaN where it is something else.
+float number_in(const JsonValue& source, const char* key, float otherwise) {
+  const JsonValue* value = source.find(key);
+  return value == nullptr ? otherwise : static_cast<float>(value->number().value_or(NAN));
+}
+
+// What a camera's picture is at another size; nothing is rounded where it is the same.
+CameraModel at_size(const CameraModel& camera, cv::Size size) {
+  const bool same = camera.width == size.width && camera.height == size.height;
+  return same ? camera : camera.resized(size.width, size.height);
+}
+
+// The camera that `source` describes for pictures of the size it names, at `size`.
+Result<CameraModel> described_camera(const fs::path& file, const JsonValue& source, cv::Size size) {
+  const float width = number_in(source, "width", static_cast<float>(size.width));
+  const float height = number_in(source, "height", static_cast<float>(size.height));
+  const float scale = static_cast<float>(size.width) / width;
+  if (!(width >= 1 && std::abs(height * scale - static_cast<float>(size.height)) <= 1)) {
+    return Status::error(StatusCode::kCorrupt,
+                         "%s: is for pictures of %gx%g pixels, and these have %dx%d, another "
+                         "shape: write what holds for these",
+                         file.c_str(), width, height, size.width, size.height);
+  }
+  const float fx = number_in(source, "fx", NAN);
+  const CameraModel camera{static_cast<int>(width),
+                           static_cast<int>(height),
+                           fx,
+                           number_in(source, "fy", fx),
+                           number_in(source, "cx", (width - 1) / 2),
+                           number_in(source, "cy", (height - 1) / 2),
+                           true};
+  for (const float value : {camera.fx, camera.fy, camera.cx, camera.cy}) {
+    if (value > 0 && value < kMostPixels) continue;
+    return Status::error(StatusCode::kCorrupt,
+                         "%s: fx, fy, cx and cy must be numbers of pixels above 0", file.c_str());
+  }
+  return at_size(camera, size);
+}
+
 // The camera of one frame: the pack's, or the frame's own where `frames` lists it.
-CameraModel camera_of(const Intrinsics& intrinsics, const std::string& frame, cv::Size size,
-                      float field_of_view) {
+Result<CameraModel> camera_of(const Intrinsics& intrinsics, const std::string& frame, cv::Size size,
+                              float field_of_view) {
   const JsonValue* source = &intrinsics.json;
   if (const JsonValue* frames = source->find("frames")) {
     if (const JsonValue* own = frames->find(frame)) source = own;
   }
-  const auto value = [&](const char* key) {
-    const JsonValue* v = source->find(key);
-    return v != nullptr ? static_cast<float>(v->number().value_or(0)) : 0.0F;
-  };
-  CameraModel camera{size.width,  size.height, value("fx"), value("fy"),
-                     value("cx"), value("cy"), true};
-  if (camera.fx > 0) return camera;
-  return CameraModel::from_field_of_view(size.width, size.height, field_of_view);
+  if (source->find("fx") != nullptr) return described_camera(intrinsics.file, *source, size);
+  return assumed_camera(intrinsics.file, size, field_of_view);
 }
 
 // The rows of the full picture that the teacher's maps cover: all, or those of band.json.
@@ -114,9 +161,8 @@ Result<cv::Mat> load_depth(const fs::path& folder, const std::string& frame, con
                            double unit, cv::Size full, cv::Size size) {
   if (use.teacher == Teacher::kNone) return cv::Mat(cv::Mat::zeros(size, CV_32F));
   const fs::path maps = folder / (use.teacher == Teacher::kSensor ? "depth" : use.maps);
-  const Result<cv::Mat> map =
-      dataset::read_depth(maps / (frame + ".png"),
-                          use.teacher == Teacher::kSensor ? unit : kMapUnit);
+  const Result<cv::Mat> map = dataset::read_depth(
+      maps / (frame + ".png"), use.teacher == Teacher::kSensor ? unit : kMapUnit);
   if (!map) return map.status();
   cv::Mat depth;
   if (use.teacher == Teacher::kSensor) {
@@ -170,10 +216,10 @@ class FolderFrames final : public Frames {
     PackFrame frame;
     frame.name = name(index);
     frame.rgb = dataset::reduced(*full, max_width_);
-    frame.camera = camera_of(intrinsics_, frame.name, full->size(), use_.field_of_view);
-    if (full->size() != frame.rgb.size()) {
-      frame.camera = frame.camera.resized(frame.rgb.cols, frame.rgb.rows);
-    }
+    const Result<CameraModel> camera =
+        camera_of(intrinsics_, frame.name, full->size(), use_.field_of_view);
+    if (!camera) return camera.status();
+    frame.camera = at_size(*camera, frame.rgb.size());
     const Result<cv::Mat> depth = load_depth(folder_, frame.name, use_, intrinsics_.depth_unit,
                                              full->size(), frame.rgb.size());
     if (!depth) return depth.status();
@@ -207,7 +253,7 @@ std::shared_ptr<const Frames> keep_in_memory(const Frames& frames, bool video) {
   for (std::size_t i = 0; i < frames.size(); ++i) {
     Result<PackFrame> frame = frames.read(i);
     if (!frame) unreadable[i] = frame.status();
-    kept.push_back(frame ? std::move(*frame) : PackFrame{.name = frames.name(i)});
+    kept.push_back(frame ? std::move(*frame) : PackFrame{frames.name(i), {}, {}, {}});
   }
   return std::make_shared<MemoryFrames>(std::move(kept), video, std::move(unreadable));
 }

@@ -100,6 +100,53 @@ TEST_F(SmallPack, BadFilesAreNamed) {
   EXPECT_EQ(load_pack(root_, use_, 640).code(), StatusCode::kNotFound);
 }
 
+// Intrinsics of 32x24 pictures beside pictures of 64x48.
+TEST_F(SmallPack, ScalesIntrinsicsOfAnotherSizeOfTheSameShape) {
+  write_intrinsics(R"({"width": 32, "height": 24, "fx": 50, "fy": 52, "cx": 15.5, "cy": 11.5})");
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_TRUE(pack) << pack.status().text();
+  const CameraModel camera = frame_of(*pack).camera;
+  EXPECT_EQ(camera.width, 64);
+  EXPECT_FLOAT_EQ(camera.fx, 100);
+  EXPECT_FLOAT_EQ(camera.fy, 104);
+  EXPECT_FLOAT_EQ(camera.cx, 31.5);
+  EXPECT_FLOAT_EQ(camera.cy, 23.5);
+}
+
+TEST_F(SmallPack, TakesSquarePixelsAndTheCentreWhereOnlyFxIsKnown) {
+  write_intrinsics(R"({"fx": 100})");
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_TRUE(pack) << pack.status().text();
+  const CameraModel camera = frame_of(*pack).camera;
+  EXPECT_FLOAT_EQ(camera.fy, 100);
+  EXPECT_FLOAT_EQ(camera.cx, 31.5);
+  EXPECT_FLOAT_EQ(camera.cy, 23.5);
+}
+
+TEST_F(SmallPack, RefusesIntrinsicsThatCannotBe) {
+  for (const char* text : {R"({"width": 64, "height": 64, "fx": 100})", R"({"fx": -100})",
+                           R"({"fx": 0})", R"({"fx": "100"})", R"({"fx": 100, "fy": -1})",
+                           R"({"fx": 100, "cx": null})", R"({"width": 0, "fx": 100})"}) {
+    write_intrinsics(text);
+    const Result<Pack> pack = load_pack(root_, use_, 640);
+    ASSERT_EQ(pack.code(), StatusCode::kCorrupt) << text;
+    EXPECT_NE(std::string(pack.status().text()).find("intrinsics.json"), std::string::npos);
+  }
+}
+
+// Depth would have no scale, and nobody told.
+TEST_F(SmallPack, WithoutFxNeedsAFieldOfView) {
+  write_intrinsics("{}");
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_EQ(pack.code(), StatusCode::kInvalidInput);
+  EXPECT_NE(std::string(pack.status().text()).find("field-of-view"), std::string::npos);
+  use_.field_of_view = 90;
+  const Result<Pack> assumed = load_pack(root_, use_, 640);
+  ASSERT_TRUE(assumed) << assumed.status().text();
+  EXPECT_FLOAT_EQ(frame_of(*assumed).camera.fx, 32);
+  EXPECT_FALSE(frame_of(*assumed).camera.calibrated);
+}
+
 // A JPEG that lost its end would train as a picture with a grey lower half.
 TEST_F(SmallPack, SkipsAndNamesATruncatedPicture) {
   const fs::path cut = root_ / "pack" / "rgb" / "000001.jpg";
@@ -243,6 +290,24 @@ TEST(Batches, AreSharedByProcesses) {
   shape.images = 2;
   shape.first = 2;
   EXPECT_TRUE(torch::equal(make_batch(packs, shape, 3, 1)->rgb, whole.part(2, 2).rgb));
+}
+
+// Two sizes in one sequence cannot be cut alike.
+TEST(Batches, RefuseANeighbourOfAnotherSize) {
+  std::vector<PackFrame> frames;
+  for (const cv::Size size : {cv::Size(64, 48), cv::Size(64, 48), cv::Size(32, 24)}) {
+    frames.push_back({std::to_string(frames.size()), cv::Mat(size, CV_8UC3, cv::Scalar::all(9)),
+                      cv::Mat(size, CV_32F, cv::Scalar(2)),
+                      CameraModel::from_field_of_view(size.width, size.height, 60)});
+  }
+  Pack pack;
+  pack.frames = std::make_shared<MemoryFrames>(frames, true);
+  BatchShape shape{96, 64, 80, 1, false};
+  shape.views = true;
+  SampleRandom random(1, 0, 0);
+  const Result<AugmentedSample> sample = augment(pack, 1, shape, random);
+  ASSERT_EQ(sample.code(), StatusCode::kCorrupt);
+  EXPECT_NE(std::string(sample.status().text()).find("32x24"), std::string::npos);
 }
 
 TEST(ScenePack, ValidatesOnUnseenWorlds) {
