@@ -96,6 +96,16 @@ Status check_shares(const std::vector<Pack>& packs) {
                        "catalogue a wide-share and one a tall-share");
 }
 
+// Whether the head's norms are as they were made: neither moved by pictures nor trained.
+bool is_new(const Head& head) {
+  return !head->norm.empty() &&
+         std::all_of(head->norm.begin(), head->norm.end(), [](const Norm& norm) {
+           return (norm->running_mean == 0).all().item<bool>() &&
+                  (norm->running_var == 1).all().item<bool>() &&
+                  (norm->weight == 1).all().item<bool>();
+         });
+}
+
 }  // namespace
 
 void collect(const torch::nn::Module& network, const std::string& prefix,
@@ -168,12 +178,23 @@ void Trainer::spread_weights() {
   replicas_->follow();
 }
 
-Status Trainer::measure() {
+Status Trainer::measure(torch::nn::Module& part, Answers answers) {
   const auto batches = make_samples(recipe_, packs_);
   if (!batches) return batches.status();
   std::vector<torch::Tensor> pictures;
   for (const Batch& batch : *batches) pictures.push_back(batch.rgb.to(compute_.device));
-  measure_statistics(networks_->depth, pictures);
+  measure_statistics(networks_->depth, part, answers, pictures);
+  return Status::ok();
+}
+
+// The average's head is still the same: what holds for one holds for both.
+Status Trainer::measure_new_head() {
+  Head& head = networks_->depth->head;
+  if (!has_head() || !past(recipe_.freeze_from) || !is_new(head)) return Status::ok();
+  LCDM_RETURN_IF_ERROR(measure(*head, Answers::kNormalise));
+  std::map<std::string, torch::Tensor> tensors;
+  collect(*head, "", tensors);
+  restore(*average_->head, "", tensors);
   return Status::ok();
 }
 
@@ -191,7 +212,9 @@ Status Trainer::start_from(const DepthNetwork& trained, Known statistics) {
     LCDM_RETURN_IF_ERROR(widen(trained, networks_->depth));
     statistics = Known::kNo;
   }
-  if (statistics == Known::kNo) LCDM_RETURN_IF_ERROR(measure());
+  if (statistics == Known::kNo) {
+    LCDM_RETURN_IF_ERROR(measure(*networks_->depth, Answers::kKeep));
+  }
   config.licence = trained->config.licence;
   config.variable_mean = trained->config.variable_mean;
   config.variable_std = trained->config.variable_std;
@@ -340,6 +363,7 @@ Status not_finite(const Losses& losses, std::int64_t step) {
 
 Result<Losses> Trainer::advance() {
   prepare_loader();
+  LCDM_RETURN_IF_ERROR(measure_new_head());
   set_modes();
   replicas_->clear_gradients();
   Losses losses;

@@ -93,8 +93,10 @@ class Trainer {
           const ModelConfig& config);
 
   bool past(double share) const;
-  // The depth network's batch-norm statistics, on the first samples.
-  Status measure();
+  // The batch-norm statistics of `part` of the depth network, on the first samples.
+  Status measure(torch::nn::Module& part, Answers answers);
+  // The head's, where it joins after statistics are frozen: nothing has gone through it yet.
+  Status measure_new_head();
   // The average and the replicas become what `networks_` is.
   void spread_weights();
   void prepare_loader();

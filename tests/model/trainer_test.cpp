@@ -70,13 +70,13 @@ TEST(Trainer, RefusesALicenceThatNoCheckpointCouldHold) {
   EXPECT_EQ(trainer->set_licence("two\nlines").code(), StatusCode::kInvalidInput);
 }
 
-// With moving batch-norm statistics, and over the step where the head joins.
-TEST(Trainer, ResumesBitExactly) {
+// A run stopped after three of six steps, over the step where the head joins.
+void expect_exact_resume(double freeze_from) {
   at::set_num_threads(1);
   const std::string path = scratch("lcdm-resume.safetensors");
   Recipe recipe = small_recipe();
   recipe.head_from = 0.6;
-  recipe.freeze_from = 1;
+  recipe.freeze_from = freeze_from;
   const auto straight = trainer_of(recipe);
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(straight->advance());
   EXPECT_TRUE(straight->note_score(0.5));
@@ -92,6 +92,27 @@ TEST(Trainer, ResumesBitExactly) {
   EXPECT_TRUE(resumed->done());
   EXPECT_TRUE(same_weights(*straight, *resumed));
   fs::remove(path);
+}
+
+TEST(Trainer, ResumesBitExactlyWhileStatisticsMove) { expect_exact_resume(1); }
+TEST(Trainer, ResumesBitExactlyWhenTheyAreFrozen) { expect_exact_resume(0.2); }
+
+// Frozen at mean 0 and deviation 1 they would normalise nothing for the rest of the run.
+TEST(Trainer, MeasuresAHeadThatJoinsAfterStatisticsAreFrozen) {
+  Recipe recipe = small_recipe();
+  recipe.steps = 2;
+  recipe.freeze_from = 0;
+  recipe.head_from = 0.5;
+  const auto trainer = trainer_of(recipe);
+  const auto moved = [&](std::size_t step) {
+    const Norm& norm = trainer->averaged()->head->norm[step];
+    return (norm->running_mean != 0).all().item<bool>() &&
+           (norm->running_var != 1).all().item<bool>();
+  };
+  ASSERT_TRUE(trainer->advance());
+  EXPECT_FALSE(moved(0)) << "the head has not joined";
+  ASSERT_TRUE(trainer->advance());
+  EXPECT_TRUE(moved(0) && moved(1));
 }
 
 // Everything of the paper at once on a moving camera: each term is there and the step is finite.
