@@ -248,7 +248,7 @@ Result<Batch> make_batch(const std::vector<Pack>& packs, const BatchShape& shape
     batch.learned_camera[i] = learned_camera_of(packs, *draw->pack);
     target.depth[i] = planes_of(draw->sample.depth);
     target.weight[i] = use.weight;
-    target.sharp[i] = use.teacher == Teacher::kSensor ? 1.0F : 0.0F;
+    target.sharp[i] = use.teacher == Teacher::kMaps ? 0.0F : 1.0F;
     target.alignment[i] = static_cast<std::int64_t>(use.alignment);
     if (shape.views) add_views(draw->sample, i, batch.views);
   }

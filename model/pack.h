@@ -12,8 +12,9 @@
 
 namespace lcdm::model {
 
-// Where a frame's depth comes from: a sensor (or the renderer), maps that a teacher made, nowhere.
-enum class Teacher : std::uint8_t { kSensor, kMaps, kNone };
+// Where a frame's depth comes from: a sensor, the renderer, maps that a teacher made, nowhere. In
+// the order in which a network's score on it is believed.
+enum class Teacher : std::uint8_t { kSensor, kRenderer, kMaps, kNone };
 
 // What training adjusts in a teacher's depth before learning from it, always towards the student:
 // nothing, its scale, or scale and shift of its inverse depth (affine-invariant teachers).
