@@ -28,12 +28,18 @@ TEST(MaskedMean, CountsOnlyWhatIsValid) {
   EXPECT_DOUBLE_EQ(masked_mean(error, mask, torch::ones({1})).item<float>(), 2);
 }
 
+// Whatever else is in the batch: with one picture for each worker there is nothing else.
+TEST(MaskedMean, HalfTheTrustIsHalfTheLoss) {
+  const torch::Tensor error = image({4, 4}, 1, 2);
+  EXPECT_FLOAT_EQ(masked_mean(error, no_mask(error), torch::tensor({0.5F})).item<float>(), 2);
+}
+
 TEST(MaskedMean, EveryImageCountsByItsWeightHoweverManyPixelsItHas) {
   const torch::Tensor error = torch::cat({image({1, 1, 1, 1}, 2, 2), image({5, 9, 9, 9}, 2, 2)});
   const torch::Tensor mask =
       torch::cat({image({1, 1, 1, 1}, 2, 2), image({1, 0, 0, 0}, 2, 2)}).to(torch::kBool);
   EXPECT_FLOAT_EQ(masked_mean(error, mask, torch::tensor({1.0F, 3.0F})).item<float>(),
-                  4);  // (1 + 3 * 5) / 4
+                  8);  // (1 + 3 * 5) / 2
 }
 
 TEST(MaskedMean, ImagesWithoutDepthCountAsNothing) {
