@@ -104,6 +104,17 @@ TEST(AlignToStudent, FitsScaleAndShiftOfInverseDepth) {
   EXPECT_LT((out + inverse.log()).abs().max().item<float>(), 1e-5);
 }
 
+// The fit of 99 pixels that a single outlier, the farthest, does not follow.
+TEST(AlignToStudent, FitsThoughAFewPixelsLandBeyondTheFarthest) {
+  const torch::Tensor inverse = torch::linspace(0.05, 1, 100).reshape({1, 1, 10, 10});
+  torch::Tensor teacher = 2 * inverse + 0.3;
+  teacher.view(-1)[0] = 0.1;  // 0.2 too little: a - 0.1 once scaled back
+  const torch::Tensor out = align_to_student(-teacher.log(), -inverse.log(), no_mask(inverse),
+                                             kinds_of({Alignment::kAffine}));
+  EXPECT_LT((out + inverse.log()).abs().narrow(2, 5, 5).max().item<float>(), 0.05);
+  EXPECT_NEAR(out.view(-1)[0].item<float>(), std::log(100.0F), 1e-4);
+}
+
 // Where near and far are swapped no scale and shift make depth of it: the median is all that helps.
 TEST(AlignToStudent, FallsBackToTheMedianWhereTheFitIsNoDepth) {
   const torch::Tensor student = image({1, 2, 3}, 1, 3);
@@ -198,19 +209,43 @@ TEST(NormalLoss, IsTheSquaredDistanceOfTheUnitNormals) {
       << "scale is not a normal's business";
 }
 
+// Two random pictures of 64x64 with their neighbours, everything 5 m away.
+Batch random_batch() {
+  const torch::Tensor picture = torch::rand({2, 3, 64, 64});
+  Batch batch;
+  batch.rgb = (picture - 0.45) / 0.225;
+  const CameraModel camera{64, 64, 60, 60, 31.5F, 31.5F, true};
+  batch.cameras = pinholes_of({camera, camera});
+  batch.target = {torch::full({2, 1, 64, 64}, 5.0F), torch::ones({2}), torch::ones({2}),
+                  torch::zeros({2}, torch::kLong)};
+  batch.views = {picture, torch::rand_like(picture), torch::rand_like(picture), torch::ones({2})};
+  return batch;
+}
+
+// Maps of a teacher whose metres are a hundredth of ours lie below the nearest that can be said,
+// and are as good as any once they are aligned.
+TEST(TrainingLosses, KeepTheNearFieldOfTeachersOfTinyScale) {
+  torch::manual_seed(9);
+  TrainedNetworks networks(small_config(), false);
+  networks->eval();
+  Batch batch = random_batch();
+  batch.target.depth = 0.5 + 4 * torch::rand({2, 1, 64, 64});
+  batch.target.alignment = kinds_of({Alignment::kScale, Alignment::kScale});
+  const auto distillation = [&](double scale) {
+    Batch scaled = batch;
+    scaled.target.depth = batch.target.depth * scale;
+    at::Generator generator = at::detail::createCPUGenerator(8);
+    return training_losses(networks, scaled, {}, Part::kDirect, generator)[Term::kDistillation];
+  };
+  EXPECT_NEAR(distillation(0.01), distillation(1), 1e-4);
+}
+
 TEST(TrainingLosses, NinetyPercentHolesGiveNoNanAndNoBias) {
   torch::manual_seed(7);
   TrainedNetworks networks(small_config(), true);
   networks->eval();
   at::Generator generator = at::detail::createCPUGenerator(8);
-  const torch::Tensor picture = torch::rand({2, 3, 64, 64});
-  Batch full;
-  full.rgb = (picture - 0.45) / 0.225;
-  const CameraModel camera{64, 64, 60, 60, 31.5F, 31.5F, true};
-  full.cameras = pinholes_of({camera, camera});
-  full.target = {torch::full({2, 1, 64, 64}, 5.0F), torch::ones({2}), torch::ones({2}),
-                 torch::zeros({2}, torch::kLong)};
-  full.views = {picture, torch::rand_like(picture), torch::rand_like(picture), torch::ones({2})};
+  const Batch full = random_batch();
   Batch holes = full;
   holes.target.depth = torch::where(torch::rand({2, 1, 64, 64}) < 0.9, torch::zeros({2, 1, 64, 64}),
                                     full.target.depth);
