@@ -25,6 +25,31 @@ Result<cv::Mat> MemoryFrames::neighbour(std::size_t index, int offset) const {
   return frame->rgb;
 }
 
+JoinedFrames::Place JoinedFrames::place_of(std::size_t index) const {
+  if (index < first_->size()) return {*first_, index};
+  return {*second_, index - first_->size()};
+}
+
+std::string JoinedFrames::name(std::size_t index) const {
+  const Place place = place_of(index);
+  return place.frames.name(place.index);
+}
+
+Result<PackFrame> JoinedFrames::read(std::size_t index) const {
+  const Place place = place_of(index);
+  return place.frames.read(place.index);
+}
+
+bool JoinedFrames::has_neighbours(std::size_t index) const {
+  const Place place = place_of(index);
+  return place.frames.has_neighbours(place.index);
+}
+
+Result<cv::Mat> JoinedFrames::neighbour(std::size_t index, int offset) const {
+  const Place place = place_of(index);
+  return place.frames.neighbour(place.index, offset);
+}
+
 std::string sequence_of(const std::string& name) {
   const std::size_t end = name.find('_');
   return end == std::string::npos ? "" : name.substr(0, end);

@@ -61,6 +61,29 @@ class MemoryFrames final : public Frames {
   std::map<std::size_t, Status> unreadable_;
 };
 
+// The frames of `first`, and behind them those of `second`. Each keeps its own neighbours.
+class JoinedFrames final : public Frames {
+ public:
+  JoinedFrames(std::shared_ptr<const Frames> first, std::shared_ptr<const Frames> second)
+      : first_(std::move(first)), second_(std::move(second)) {}
+
+  std::size_t size() const override { return first_->size() + second_->size(); }
+  std::string name(std::size_t index) const override;
+  Result<PackFrame> read(std::size_t index) const override;
+  bool has_neighbours(std::size_t index) const override;
+  Result<cv::Mat> neighbour(std::size_t index, int offset) const override;
+
+ private:
+  struct Place {
+    const Frames& frames;
+    std::size_t index;
+  };
+  Place place_of(std::size_t index) const;
+
+  std::shared_ptr<const Frames> first_;
+  std::shared_ptr<const Frames> second_;
+};
+
 // A frame's sequence: its name up to the first '_'; empty without one.
 std::string sequence_of(const std::string& name);
 // Whether the frames before and after `index` are of its sequence.

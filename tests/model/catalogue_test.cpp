@@ -5,10 +5,10 @@
 #include <fstream>
 #include <gtest/gtest.h>
 
+#include "tests/model/data_set_fixture.h"
+
 namespace lcdm::model {
 namespace {
-
-namespace fs = std::filesystem;
 
 class CatalogueTest : public testing::Test {
  protected:
@@ -70,6 +70,7 @@ TEST_F(CatalogueTest, FaultsNameLineAndCure) {
   expect_fault("[[train]]\npath = \"a\"\nteacher = \"guess\"", "one of maps, none, sensor");
   expect_fault("[[train]]\npath = \"a\"\nprotocol = \"x\"", "is no protocol");
   expect_fault("[[train]]\ntrust = 1", "has no path");
+  expect_fault("[[train]]\npath = \"a\"\nvalidation-list = \"b\"", "only form = \"kitti-raw\"");
   expect_fault("[medley]\nframes = -1", "frames must be a number, 0 or more");
   expect_fault("[medley]\nframes = 1e8", "more would show the worlds that validate");
   expect_fault("[train]\npath = \"a\"", "write [[train]]");
