@@ -264,6 +264,7 @@ CatalogueEntry own_entry(const fs::path& folder) {
   CatalogueEntry entry;
   entry.path = entry.use.name = folder.filename().string();
   entry.use.wide_share = entry.use.tall_share = 1;
+  entry.protocol = *protocol_named("rgbd");
   return entry;
 }
 

@@ -10,6 +10,8 @@
 namespace lcdm::model {
 namespace {
 
+using OwnPack = DataSet;
+
 class CatalogueTest : public testing::Test {
  protected:
   void TearDown() override { fs::remove(path_); }
@@ -107,6 +109,19 @@ TEST(Catalogues, OwnPacksHaveNoTestPart) {
   DataOptions options;
   options.packs = {testing::TempDir()};
   EXPECT_EQ(load_test_data(options).code(), StatusCode::kInvalidInput);
+}
+
+// Recordings of a depth camera, as the paper's own: nothing counts nearer than .1 m or beyond 10 m.
+TEST_F(OwnPack, IsMeasuredAsRgbdRecordingsAre) {
+  write_picture(root_ / "rgb" / "0.png", {64, 48}, {10, 100, 200});
+  write_depth(root_ / "depth" / "0.png", no_depth(48, 64));
+  write(root_ / "intrinsics.json", R"({"fx": 60})");
+  DataOptions options;
+  options.packs = {root_.string()};
+  const Result<Data> data = load_training_data(options);
+  ASSERT_TRUE(data) << data.status().text();
+  EXPECT_FLOAT_EQ(data->protocols[0].nearest, 0.1);
+  EXPECT_FLOAT_EQ(data->protocols[0].farthest, 10);
 }
 
 TEST(Catalogues, LoadTheSceneAlone) {
