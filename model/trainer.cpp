@@ -19,8 +19,16 @@ int multiple_of_32(double size) {
   return std::max(64, static_cast<int>(std::lround(size / 32)) * 32);
 }
 
-// Of the images a process has of each batch.
-std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, int rank) {
+// Whether any pictures are drawn for batches of the wide or of the 4:3 shape.
+bool is_drawn(const std::vector<Pack>& packs, bool wide) {
+  return std::any_of(packs.begin(), packs.end(), [wide](const Pack& pack) {
+    return !pack.train.empty() && (wide ? pack.use.wide_share : pack.use.tall_share) > 0;
+  });
+}
+
+// Of the images a process has of each batch; of the shapes that `packs` are drawn for.
+std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, int rank,
+                                    const std::vector<Pack>& packs) {
   std::vector<BatchShape> shapes;
   for (const auto& [width, height] : kDeployed) {
     BatchShape shape;
@@ -32,7 +40,7 @@ std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, in
     shape.first = rank * stage.images;
     shape.wide = width > 2 * height;
     shape.views = recipe.losses.photometric > 0 || recipe.losses.smoothness > 0;
-    shapes.push_back(shape);
+    if (is_drawn(packs, shape.wide)) shapes.push_back(shape);
   }
   return shapes;
 }
@@ -57,7 +65,7 @@ Result<std::vector<Batch>> make_samples(const Recipe& recipe, const std::vector<
   constexpr std::uint64_t kBatches = 16;
   Stage stage = recipe.stages.front();
   stage.images = 8;
-  const std::vector<BatchShape> shapes = make_shapes(recipe, stage, 0);
+  const std::vector<BatchShape> shapes = make_shapes(recipe, stage, 0, packs);
   std::vector<Batch> batches;
   for (std::uint64_t i = 0; i < kBatches; ++i) {
     Result<Batch> batch = make_batch(packs, shapes[i % shapes.size()], ~recipe.seed, i);
@@ -83,17 +91,11 @@ Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::ve
   return Status::ok();
 }
 
-// Batches have one shape each: a shape that no pack has pictures for cannot be drawn.
 Status check_shares(const std::vector<Pack>& packs) {
-  const auto drawn = [&](float PackUse::*share) {
-    return std::any_of(packs.begin(), packs.end(), [&](const Pack& pack) {
-      return !pack.train.empty() && pack.use.*share > 0;
-    });
-  };
-  if (drawn(&PackUse::wide_share) && drawn(&PackUse::tall_share)) return Status::ok();
+  if (is_drawn(packs, true) || is_drawn(packs, false)) return Status::ok();
   return Status::error(StatusCode::kInvalidInput,
-                       "no picture to train on for one of the two shapes: give a set of the "
-                       "catalogue a wide-share and one a tall-share");
+                       "no picture to train on: give a set of the catalogue a wide-share or a "
+                       "tall-share");
 }
 
 // Whether the head's norms are as they were made: neither moved by pictures nor trained.
@@ -248,8 +250,8 @@ void Trainer::prepare_loader() {
   if (loader_ != nullptr && stage == loader_stage_) return;
   loader_.reset();
   loader_ = std::make_unique<BatchLoader>(
-      packs_, make_shapes(recipe_, recipe_.stages[stage], compute_.processes->rank()), recipe_.seed,
-      static_cast<std::uint64_t>(step_ * recipe_.accumulate), compute_.loaders);
+      packs_, make_shapes(recipe_, recipe_.stages[stage], compute_.processes->rank(), packs_),
+      recipe_.seed, static_cast<std::uint64_t>(step_ * recipe_.accumulate), compute_.loaders);
   loader_stage_ = stage;
 }
 

@@ -57,9 +57,22 @@ std::unique_ptr<Trainer> trainer_of(const Recipe& recipe,
   return std::move(*trainer);
 }
 
-TEST(Trainer, RefusesPacksOfWhichOneShapeHasNone) {
+// Every batch is of the shape that is asked for: what nothing is drawn for takes no part.
+TEST(Trainer, TrainsOneShapeAlone) {
+  for (float PackUse::*unasked : {&PackUse::wide_share, &PackUse::tall_share}) {
+    std::vector<Pack> packs = {scene_packs()[0], scene_packs()[0]};
+    packs[0].use.*unasked = 0;
+    packs[1].use.wide_share = packs[1].use.tall_share = 0;
+    packs[1].frames = std::make_shared<MemoryFrames>(
+        std::vector<PackFrame>(packs[1].frames->size()), false);  // empty: not to be drawn
+    const auto trainer = trainer_of(small_recipe(), packs);
+    for (int i = 0; i < 2; ++i) ASSERT_TRUE(trainer->advance());
+  }
+}
+
+TEST(Trainer, RefusesPacksThatAreNeverDrawn) {
   std::vector<Pack> packs = scene_packs();
-  packs[0].use.tall_share = 0;
+  packs[0].use.wide_share = packs[0].use.tall_share = 0;
   EXPECT_EQ(Trainer::make(small_recipe(), packs, one_cpu()).code(), StatusCode::kInvalidInput);
   EXPECT_EQ(Trainer::make(small_recipe(), {}, one_cpu()).code(), StatusCode::kInvalidInput);
 }
