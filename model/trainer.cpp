@@ -226,8 +226,11 @@ Status Trainer::start_from(const DepthNetwork& trained, Known statistics) {
 }
 
 Result<ImportReport> Trainer::start_encoder_from(const TensorFile& file, ChannelOrder order) {
-  auto report = import_mobilevit(file, order, networks_->depth->encoder);
-  if (report) spread_weights();
+  MobileVit& encoder = networks_->depth->encoder;
+  auto report = import_mobilevit(file, order, encoder);
+  if (!report) return report;
+  LCDM_RETURN_IF_ERROR(measure(*encoder, Answers::kNormalise));
+  spread_weights();
   return report;
 }
 

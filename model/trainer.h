@@ -64,8 +64,9 @@ class Trainer {
   // network, the batch norms' statistics are measured on the first samples. kInvalidInput: another
   // preset or shape, a larger encoder; errors as make_batch.
   Status start_from(const DepthNetwork& trained, Known statistics);
-  // Starts encoder or pose network from others' weights; before the first step. Errors as
-  // weight_import.h; kInvalidInput where there is no pose network.
+  // Starts encoder or pose network from others' weights; before the first step. The encoder's
+  // statistics are measured: theirs are of pictures scaled in another way. Errors as
+  // weight_import.h and make_batch; kInvalidInput where there is no pose network.
   Result<ImportReport> start_encoder_from(const TensorFile& file, ChannelOrder order);
   Result<ImportReport> start_pose_from(const TensorFile& file);
 

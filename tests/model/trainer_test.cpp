@@ -269,6 +269,26 @@ TEST(Trainer, StartsFromTrainedWeights) {
   EXPECT_EQ(second->start_from(larger->averaged(), Known::kYes).code(), StatusCode::kInvalidInput);
 }
 
+// ImageNet encoders come with statistics of pictures in [0, 1] or of mean 0: what leaves a norm
+// here would be neither centred nor of unit size.
+TEST(Trainer, MeasuresTheStatisticsOfAnImportedEncoder) {
+  torch::manual_seed(3);
+  MobileVit theirs(EncoderKind::kXxs);
+  TensorFile file;
+  collect(*theirs, "", file.tensors);
+  const torch::NoGradGuard no_grad;
+  for (auto& [name, tensor] : file.tensors) {
+    if (name.find("running_mean") != std::string::npos) tensor.fill_(7);
+  }
+  const auto trainer = trainer_of(small_recipe());
+  ASSERT_TRUE(trainer->start_encoder_from(file, ChannelOrder::kRgb));
+  ConvNorm& stem = trainer->averaged()->encoder->stem;
+  EXPECT_TRUE(torch::equal(stem->bn->weight, theirs->stem->bn->weight)) << "the weights are theirs";
+  const Batch batch = *make_batch(scene_packs(), {160, 64, 80, 8, true}, 5, 0);
+  const torch::Tensor out = stem->bn->forward(stem->conv->forward(batch.rgb));
+  EXPECT_LT(out.mean({0, 2, 3}).abs().max().item<float>(), 1);
+}
+
 TEST(Trainer, SaysWhyItStopsOnNan) {
   Recipe recipe = small_recipe();
   recipe.learning_rate = 1e30;
