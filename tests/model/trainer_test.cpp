@@ -238,6 +238,17 @@ TEST(TrainingLog, GoesOnFromTheStepOfTheCheckpoint) {
   fs::remove_all(folder);
 }
 
+TEST(TrainingLog, FullDiskLeavesTheCurve) {
+  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
+  const fs::path folder = scratch("lcdm-log-full-disk");
+  fs::create_directories(folder);
+  std::ofstream(folder / "curve.csv") << "step,a\n25,1\n50,2\n";
+  fs::create_symlink("/dev/full", folder / "curve.csv.partial");
+  { const TrainingLog log(folder, 25, 100); }
+  EXPECT_EQ(read_csv((folder / "curve.csv").string())->rows.size(), 2U);
+  fs::remove_all(folder);
+}
+
 TEST(Trainer, RefusesACheckpointOfAnotherNetwork) {
   const std::string path = scratch("lcdm-other.safetensors");
   Recipe recipe = small_recipe();
