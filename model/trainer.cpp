@@ -291,12 +291,14 @@ Status Trainer::set_licence(const std::string& licence) {
   return config_json(config()).status();
 }
 
+float Trainer::part() const {
+  return static_cast<float>(stage_at(recipe_, step_)) + (has_head() ? 0.5F : 0);
+}
+
 bool Trainer::note_score(double score) {
-  // A score with the head, or at another size, is no match for one without.
-  const float part = static_cast<float>(stage_at(recipe_, step_)) + (has_head() ? 0.5F : 0);
-  if (part == best_part_ && !(static_cast<float>(score) < best_)) return false;
+  if (part() == best_part_ && !(static_cast<float>(score) < best_)) return false;
   best_ = static_cast<float>(score);
-  best_part_ = part;
+  best_part_ = part();
   return true;
 }
 
@@ -364,6 +366,13 @@ Status not_finite(const Losses& losses, std::int64_t step) {
                        static_cast<long long>(step), terms.c_str());
 }
 
+Status diverged(const Divergence& divergence, std::int64_t step) {
+  return Status::error(StatusCode::kCorrupt,
+                       "step %lld: the training diverges: %s; lower the learning rate and begin "
+                       "again, or with --from best.safetensors",
+                       static_cast<long long>(step), divergence.text().c_str());
+}
+
 }  // namespace
 
 Result<Losses> Trainer::advance() {
@@ -385,6 +394,8 @@ Result<Losses> Trainer::advance() {
   gather(networks_, *compute_.processes, losses);
   replicas_->follow();
   if (!std::isfinite(losses.total.item<double>())) return not_finite(losses, step_);
+  divergence_.add(losses.total.item<double>(), part());
+  if (divergence_.found()) return diverged(divergence_, step_);
   if (const double norm = optimizer_->clip(recipe_.clip); !std::isfinite(norm)) {
     return Status::error(StatusCode::kCorrupt,
                          "step %lld: a gradient is not finite; lower the learning rate",
@@ -406,6 +417,7 @@ Status Trainer::save(const std::string& path) const {
   optimizer_->save(file.tensors);
   file.tensors["trainer.step"] = torch::tensor({step_, images_}, torch::kLong);
   file.tensors["trainer.best"] = torch::tensor({best_, best_part_});
+  file.tensors["trainer.divergence"] = divergence_.numbers();
   const Result<std::string> config = config_json(this->config());
   if (!config) return config.status();
   file.metadata["lcdm"] = *config;
@@ -438,6 +450,8 @@ Status Trainer::resume(const std::string& path) {
   images_ = step->second[1].item<std::int64_t>();
   best_ = best->second[0].item<float>();
   best_part_ = best->second[1].item<float>();
+  const auto divergence = tensors.find("trainer.divergence");
+  if (divergence != tensors.end()) divergence_.restore(divergence->second);
   loader_.reset();
   return Status::ok();
 }

@@ -314,6 +314,38 @@ TEST(Trainer, SaysWhyItStopsOnNan) {
   EXPECT_NE(std::string(last.text()).find("not finite"), std::string::npos) << last.text();
 }
 
+// 200 steps of loss 1, then 10 each: the mean of 200 passes 5 once 89 of them are 10.
+TEST(Divergence, IsAMeanFarAboveItsBest) {
+  Divergence divergence;
+  for (int i = 0; i < 200; ++i) divergence.add(1, 0);
+  for (int i = 0; i < 88; ++i) divergence.add(10, 0);
+  EXPECT_FALSE(divergence.found());
+  Divergence resumed;
+  resumed.restore(divergence.numbers());
+  resumed.add(10, 0);
+  EXPECT_TRUE(resumed.found());
+  EXPECT_NE(resumed.text().find("it was 1"), std::string::npos) << resumed.text();
+  resumed.add(10, 0.5);
+  EXPECT_FALSE(resumed.found()) << "with the head a loss is another sum";
+}
+
+// A checkpoint that holds a training about to diverge stops where the unbroken one would.
+TEST(Trainer, SaysWhyItStopsWhereLossesStayFarAboveTheirBest) {
+  const std::string path = scratch("lcdm-diverging.safetensors");
+  ASSERT_TRUE(trainer_of(small_recipe())->save(path));
+  TensorFile file = *read_tensors(path);
+  Divergence past;
+  for (std::size_t i = 0; i < Divergence::kWindow; ++i) past.add(1e-6, 0.5);
+  file.tensors["trainer.divergence"] = past.numbers();
+  ASSERT_TRUE(write_tensors(path, file));
+  const auto trainer = trainer_of(small_recipe());
+  ASSERT_TRUE(trainer->resume(path));
+  const Result<Losses> losses = trainer->advance();
+  ASSERT_EQ(losses.code(), StatusCode::kCorrupt);
+  EXPECT_NE(std::string(losses.status().text()).find("diverges"), std::string::npos);
+  fs::remove(path);
+}
+
 TEST(Checkpoint, FullDiskLeavesTheOldOne) {
   if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
   const std::string folder = scratch("lcdm-full-disk");
