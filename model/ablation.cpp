@@ -3,7 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <span>
 
+#include "drivers/codec.h"
+#include "model/dataset_files.h"
 #include "model/evaluation.h"
 #include "model/html_page.h"
 #include "model/training_log.h"
@@ -14,8 +17,10 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::int64_t kSaveEvery = 200;
-constexpr int kOwnSteps = 2;                            // of both presets' samplers
-constexpr double kNormalWeights[] = {0.1, 0.5, 2, 10};  // beside the 0 and 1 of the other rows
+constexpr const char* kWithoutNormals = "ID3 + depth";
+constexpr const char* kAll = "ID5 all";
+constexpr int kOwnSteps = 2;  // of both presets' samplers
+constexpr std::size_t kMostRecipeBytes = 1U << 16;
 
 // What one network reached on one pack with one number of steps.
 struct Score {
@@ -34,12 +39,36 @@ std::string folder_name(const AblationRow& row, int seed) {
   return name;
 }
 
-// The averaged network of a finished training in `folder`.
-Status train_row(const Recipe& recipe, const Data& data, const Compute& compute,
-                 const fs::path& folder) {
+// Everything that decides what a row becomes, in words.
+std::string text_of(const Recipe& recipe, const Data& data) {
+  std::string text = recipe_text(recipe);
+  for (const Pack& pack : data.packs) {
+    text += "trains on " + std::to_string(pack.train.size()) + " frames of " + pack.use.name + "\n";
+  }
+  return text;
+}
+
+// Keeps in a new folder what its network is trained by; kInvalidInput: another one began there.
+Status claim(const fs::path& folder, const std::string& recipe) {
   std::error_code error;
   fs::create_directories(folder, error);
   if (error) return Status::system(error.value(), "cannot make the folder %s", folder.c_str());
+  const fs::path file = folder / "recipe.txt";
+  if (!fs::exists(folder / "checkpoint.safetensors")) {
+    return write_file(file.string(), std::as_bytes(std::span(recipe)));
+  }
+  const Result<std::string> begun = dataset::read_bytes(file, kMostRecipeBytes);
+  if (begun && *begun == recipe) return Status::ok();
+  return Status::error(StatusCode::kInvalidInput,
+                       "%s holds a network of another recipe or other data (recipe.txt): give the "
+                       "same options as then, or another --output",
+                       folder.c_str());
+}
+
+// The averaged network of a finished training in `folder`.
+Status train_row(const Recipe& recipe, const Data& data, const Compute& compute,
+                 const fs::path& folder) {
+  LCDM_RETURN_IF_ERROR(claim(folder, text_of(recipe, data)));
   const auto trainer = Trainer::make(recipe, data.packs, compute);
   if (!trainer) return trainer.status();
   const std::string checkpoint = (folder / "checkpoint.safetensors").string();
@@ -141,7 +170,7 @@ Status write_page(const fs::path& path, const Recipe& recipe, const AblationOpti
   const std::pair<const char*, const char*> titles[] = {
       {"losses", "Losses (the paper's table 7)"},
       {"steps", "Sampling steps (table 8)"},
-      {"normals", "Weight of the normal distillation (table 9)"}};
+      {"normals", "Weight of the normal distillation (table 9; 0 is ID3, 1 is ID5)"}};
   for (const auto& [table, title] : titles) {
     if (std::find(options.tables.begin(), options.tables.end(), table) == options.tables.end()) {
       continue;
@@ -150,6 +179,18 @@ Status write_page(const fs::path& path, const Recipe& recipe, const AblationOpti
     add_table(page, table, scores);
   }
   return page.write(path.string());
+}
+
+// Table 9. The weights 0 and 1 are networks of table 7.
+void add_normal_rows(const LossWeights& all, std::vector<AblationRow>& rows) {
+  for (const double weight : {0.0, 0.1, 0.5, 1.0, 2.0, 10.0}) {
+    LossWeights weights = all;
+    weights.normals = weight;
+    const std::string name = weight == 0   ? kWithoutNormals
+                             : weight == 1 ? kAll
+                                           : "lambda5 " + number_text(weight);
+    rows.push_back({"normals", name, weights, {kOwnSteps}});
+  }
 }
 
 }  // namespace
@@ -176,20 +217,14 @@ std::vector<AblationRow> ablation_rows(const LossWeights& losses,
     add("losses", "ID2 + denoising", weights, {kOwnSteps});
     weights.distillation = 1;
     weights.gradient = all.gradient;
-    add("losses", "ID3 + depth", weights, {kOwnSteps});
+    add("losses", kWithoutNormals, weights, {kOwnSteps});
     weights.distillation = weights.gradient = 0;
     weights.normals = 1;
     add("losses", "ID4 + normals instead", weights, {kOwnSteps});
-    add("losses", "ID5 all", all, {kOwnSteps});
+    add("losses", kAll, all, {kOwnSteps});
   }
-  if (wanted("steps")) add("steps", "ID5 all", all, {0, 1, 2, 3, 5, 10});
-  if (wanted("normals")) {
-    for (const double weight : kNormalWeights) {
-      LossWeights weights = all;
-      weights.normals = weight;
-      add("normals", "lambda5 " + number_text(weight), weights, {kOwnSteps});
-    }
-  }
+  if (wanted("steps")) add("steps", kAll, all, {0, 1, 2, 3, 5, 10});
+  if (wanted("normals")) add_normal_rows(all, rows);
   return rows;
 }
 

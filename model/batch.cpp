@@ -67,6 +67,17 @@ void roll(PackFrame& frame, SampleRandom& random) {
   frame.depth = turned;
 }
 
+// The frame beside `index` in time, which must be of its size to be cut alike.
+Result<cv::Mat> neighbour_of(const Pack& pack, std::size_t index, int offset, cv::Size size) {
+  Result<cv::Mat> picture = pack.frames->neighbour(index, offset);
+  if (!picture || picture->size() == size) return picture;
+  return Status::error(StatusCode::kCorrupt,
+                       "%s: the frame beside it in time has %dx%d pixels, it has %dx%d: set "
+                       "video = false, or keep pictures of one size in a sequence",
+                       pack.frames->name(index).c_str(), picture->cols, picture->rows, size.width,
+                       size.height);
+}
+
 const Pack& draw_pack(const std::vector<Pack>& packs, bool wide, SampleRandom& random) {
   const auto share = [wide](const Pack& p) {
     return p.train.empty() ? 0.0F : (wide ? p.use.wide_share : p.use.tall_share);
@@ -144,8 +155,8 @@ Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const Batch
   cv::resize(frame.depth(crop), out.depth, size, 0, 0, cv::INTER_NEAREST_EXACT);
   out.depth *= shape.canonical_focal / out.camera.fx;
   if (views) {
-    const Result<cv::Mat> earlier = pack.frames->neighbour(index, -1);
-    const Result<cv::Mat> later = pack.frames->neighbour(index, 1);
+    const Result<cv::Mat> earlier = neighbour_of(pack, index, -1, frame.rgb.size());
+    const Result<cv::Mat> later = neighbour_of(pack, index, 1, frame.rgb.size());
     if (!earlier || !later) return (earlier ? later : earlier).status();
     out.earlier = cut_out(*earlier);
     out.later = cut_out(*later);
@@ -237,7 +248,7 @@ Result<Batch> make_batch(const std::vector<Pack>& packs, const BatchShape& shape
     batch.learned_camera[i] = learned_camera_of(packs, *draw->pack);
     target.depth[i] = planes_of(draw->sample.depth);
     target.weight[i] = use.weight;
-    target.sharp[i] = use.teacher == Teacher::kSensor ? 1.0F : 0.0F;
+    target.sharp[i] = use.teacher == Teacher::kMaps ? 0.0F : 1.0F;
     target.alignment[i] = static_cast<std::int64_t>(use.alignment);
     if (shape.views) add_views(draw->sample, i, batch.views);
   }

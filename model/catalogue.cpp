@@ -1,5 +1,6 @@
 #include "model/catalogue.h"
 
+#include <numeric>
 #include <toml.hpp>
 
 #include "model/kitti_raw.h"
@@ -113,12 +114,16 @@ Result<CatalogueEntry> read_entry(const std::string& file, const toml::value& va
   table.take("video", use.video);
   table.take("protocol", protocol);
   table.take("list", entry.list);
+  table.take("validation-list", entry.validation_list);
   table.take("ground-truth", entry.ground_truth);
   LCDM_RETURN_IF_ERROR(table.finish());
   if (entry.path.empty()) return table.fault("the entry has no path");
   const Result<Protocol> found = protocol_named(protocol);
   if (!found) return table.fault(found.status().text());
   entry.protocol = *found;
+  if (!entry.validation_list.empty() && entry.form != Form::kKittiRaw) {
+    return table.fault("only form = \"kitti-raw\" has a validation-list");
+  }
   use.name = entry.path;
   return entry;
 }
@@ -169,7 +174,7 @@ Result<Catalogue> catalogue_of(const std::string& file, const toml::value& root)
   return catalogue;
 }
 
-// A listed data set has no split of its own.
+// A data set of one list has no split of its own.
 Pack listed_pack(const CatalogueEntry& entry, std::shared_ptr<const Frames> frames) {
   Pack pack;
   pack.use = entry.use;
@@ -180,7 +185,21 @@ Pack listed_pack(const CatalogueEntry& entry, std::shared_ptr<const Frames> fram
   return pack;
 }
 
-Result<std::shared_ptr<const Frames>> open_kitti(const CatalogueEntry& entry, const fs::path& root,
+// As published: all of the one list trains, the other validates.
+Pack split_pack(const CatalogueEntry& entry, std::shared_ptr<const Frames> train,
+                std::shared_ptr<const Frames> validation) {
+  Pack pack;
+  pack.use = entry.use;
+  pack.train.resize(train->size());
+  std::iota(pack.train.begin(), pack.train.end(), std::size_t{0});
+  pack.validation.resize(validation->size());
+  std::iota(pack.validation.begin(), pack.validation.end(), train->size());
+  pack.frames = std::make_shared<JoinedFrames>(std::move(train), std::move(validation));
+  return pack;
+}
+
+Result<std::shared_ptr<const Frames>> open_kitti(const CatalogueEntry& entry,
+                                                 const std::string& list, const fs::path& root,
                                                  Purpose purpose) {
   if (entry.use.teacher == Teacher::kSensor && entry.ground_truth.empty()) {
     return Status::error(StatusCode::kInvalidInput,
@@ -190,7 +209,7 @@ Result<std::shared_ptr<const Frames>> open_kitti(const CatalogueEntry& entry, co
   }
   KittiRawOptions options;
   options.root = (root / entry.path).string();
-  options.list = (root / entry.list).string();
+  options.list = (root / list).string();
   options.max_width = width_for(purpose);
   if (entry.use.teacher == Teacher::kMaps) {
     options.depth = KittiRawOptions::Depth::kMaps;
@@ -229,10 +248,15 @@ Result<Pack> open_entry(const CatalogueEntry& entry, const fs::path& root, Purpo
       return open_nyu_depth((root / entry.path).string(), nyu_options(purpose));
     if (entry.form == Form::kMake3d)
       return open_make3d((root / entry.path).string(), make3d_options(purpose));
-    return open_kitti(entry, root, purpose);
+    return open_kitti(entry, entry.list, root, purpose);
   }();
   if (!frames) return frames.status();
-  return listed_pack(entry, *frames);
+  if (purpose == Purpose::kTest || entry.validation_list.empty()) {
+    return listed_pack(entry, *frames);
+  }
+  const auto validation = open_kitti(entry, entry.validation_list, root, purpose);
+  if (!validation) return validation.status();
+  return split_pack(entry, *frames, *validation);
 }
 
 // A pack of the user's own: trusted, for both shapes alike.
@@ -240,6 +264,7 @@ CatalogueEntry own_entry(const fs::path& folder) {
   CatalogueEntry entry;
   entry.path = entry.use.name = folder.filename().string();
   entry.use.wide_share = entry.use.tall_share = 1;
+  entry.protocol = *protocol_named("rgbd");
   return entry;
 }
 

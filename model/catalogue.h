@@ -20,8 +20,9 @@ struct CatalogueEntry {
   std::string path;  // below the catalogue's root
   PackUse use;
   Protocol protocol;
-  std::string list;          // KITTI: which frames
-  std::string ground_truth;  // KITTI: "velodyne", or the folder of the improved ground truth
+  std::string list;             // KITTI: which frames
+  std::string validation_list;  // KITTI: which of them validate; empty: every tenth of `list`
+  std::string ground_truth;     // KITTI: "velodyne", or the folder of the improved ground truth
 };
 
 // How much of a rendering.

@@ -13,8 +13,41 @@ bool MemoryFrames::has_neighbours(std::size_t index) const {
   return video_ && amid_a_sequence(*this, index);
 }
 
+Result<PackFrame> MemoryFrames::read(std::size_t index) const {
+  const auto why = unreadable_.find(index);
+  if (why != unreadable_.end()) return why->second;
+  return frames_[index];
+}
+
 Result<cv::Mat> MemoryFrames::neighbour(std::size_t index, int offset) const {
-  return frames_[index + static_cast<std::size_t>(offset)].rgb;
+  const Result<PackFrame> frame = read(index + static_cast<std::size_t>(offset));
+  if (!frame) return frame.status();
+  return frame->rgb;
+}
+
+JoinedFrames::Place JoinedFrames::place_of(std::size_t index) const {
+  if (index < first_->size()) return {*first_, index};
+  return {*second_, index - first_->size()};
+}
+
+std::string JoinedFrames::name(std::size_t index) const {
+  const Place place = place_of(index);
+  return place.frames.name(place.index);
+}
+
+Result<PackFrame> JoinedFrames::read(std::size_t index) const {
+  const Place place = place_of(index);
+  return place.frames.read(place.index);
+}
+
+bool JoinedFrames::has_neighbours(std::size_t index) const {
+  const Place place = place_of(index);
+  return place.frames.has_neighbours(place.index);
+}
+
+Result<cv::Mat> JoinedFrames::neighbour(std::size_t index, int offset) const {
+  const Place place = place_of(index);
+  return place.frames.neighbour(place.index, offset);
 }
 
 std::string sequence_of(const std::string& name) {

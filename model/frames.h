@@ -2,6 +2,7 @@
 // trains or measures.
 #pragma once
 
+#include <map>
 #include <memory>
 #include <opencv2/core.hpp>
 #include <string>
@@ -41,20 +42,46 @@ class Frames {
 };
 
 // Frames already in memory. `video`: neighbours are neighbours in time, within a sequence.
+// `unreadable`: why those that have but a name could not be read.
 class MemoryFrames final : public Frames {
  public:
-  MemoryFrames(std::vector<PackFrame> frames, bool video)
-      : frames_(std::move(frames)), video_(video) {}
+  MemoryFrames(std::vector<PackFrame> frames, bool video,
+               std::map<std::size_t, Status> unreadable = {})
+      : frames_(std::move(frames)), video_(video), unreadable_(std::move(unreadable)) {}
 
   std::size_t size() const override { return frames_.size(); }
   std::string name(std::size_t index) const override { return frames_[index].name; }
-  Result<PackFrame> read(std::size_t index) const override { return frames_[index]; }
+  Result<PackFrame> read(std::size_t index) const override;
   bool has_neighbours(std::size_t index) const override;
   Result<cv::Mat> neighbour(std::size_t index, int offset) const override;
 
  private:
   std::vector<PackFrame> frames_;
   bool video_;
+  std::map<std::size_t, Status> unreadable_;
+};
+
+// The frames of `first`, and behind them those of `second`. Each keeps its own neighbours.
+class JoinedFrames final : public Frames {
+ public:
+  JoinedFrames(std::shared_ptr<const Frames> first, std::shared_ptr<const Frames> second)
+      : first_(std::move(first)), second_(std::move(second)) {}
+
+  std::size_t size() const override { return first_->size() + second_->size(); }
+  std::string name(std::size_t index) const override;
+  Result<PackFrame> read(std::size_t index) const override;
+  bool has_neighbours(std::size_t index) const override;
+  Result<cv::Mat> neighbour(std::size_t index, int offset) const override;
+
+ private:
+  struct Place {
+    const Frames& frames;
+    std::size_t index;
+  };
+  Place place_of(std::size_t index) const;
+
+  std::shared_ptr<const Frames> first_;
+  std::shared_ptr<const Frames> second_;
 };
 
 // A frame's sequence: its name up to the first '_'; empty without one.

@@ -1,5 +1,7 @@
 #include "model/losses.h"
 
+#include <cmath>
+
 #include "firmware/nn/sampler.h"
 #include "model/depth_code.h"
 #include "model/self_supervision.h"
@@ -43,8 +45,8 @@ torch::Tensor masked_mean(const torch::Tensor& error, const torch::Tensor& mask,
                           const torch::Tensor& weight) {
   const torch::Tensor count = per_image_sum(mask.to(error.dtype()));
   const torch::Tensor sum = per_image_sum(torch::where(mask, error, torch::zeros_like(error)));
-  const torch::Tensor used = weight * (count > 0).to(weight.dtype());
-  return (used * sum / count.clamp_min(1)).sum() / used.sum().clamp_min(1e-6);
+  const torch::Tensor images = (count > 0).sum().clamp_min(1);
+  return (weight * sum / count.clamp_min(1)).sum() / images;
 }
 
 torch::Tensor log_depth_loss(const torch::Tensor& log_depth, const torch::Tensor& log_target,
@@ -80,6 +82,8 @@ torch::Tensor gradient_loss(const torch::Tensor& log_depth, const torch::Tensor&
 
 namespace {
 
+constexpr double kMostBeyond = 0.05;  // of an affine fit's pixels
+
 // a and b of the least squares fit a x + b = y.
 struct Line {
   double a, b;
@@ -93,14 +97,16 @@ Line fit_line(const torch::Tensor& x, const torch::Tensor& y) {
   return {a, (y64.mean() - a * x64.mean()).item<double>()};
 }
 
-// Inverse depth scaled and shifted; false where the fit turns near into far or leaves the range.
+// Inverse depth scaled and shifted; false where the fit turns near into far or leaves the range
+// with more than a few pixels: a shift that is a little off costs the farthest ones, and no more.
 bool align_affine(torch::Tensor log_target, const torch::Tensor& log_depth,
                   const torch::Tensor& mask) {
   const torch::Tensor teacher = torch::exp(-log_target);
   const Line line =
       fit_line(teacher.masked_select(mask), torch::exp(-log_depth).masked_select(mask));
   const torch::Tensor inverse = teacher * line.a + line.b;
-  if (line.a <= 0 || inverse.masked_select(mask).min().item<double>() < 1 / kMaxDepth) return false;
+  const torch::Tensor beyond = (inverse < 1 / kMaxDepth).masked_select(mask);
+  if (line.a <= 0 || beyond.to(torch::kFloat64).mean().item<double>() > kMostBeyond) return false;
   log_target.copy_(torch::where(mask, -inverse.clamp_min(1 / kMaxDepth).log(), log_target));
   return true;
 }
@@ -262,11 +268,11 @@ Losses training_losses(TrainedNetworks& networks, const Batch& batch, const Loss
   const torch::Tensor student = steps > 0 ? network->sample(condition, steps) : direct;
 
   const torch::Tensor mask = target.depth > 0;
+  // What can be said is a matter of the aligned depth: a teacher's own metres may be of any size.
   const torch::Tensor log_target =
-      align_to_student(torch::where(mask, target.depth, torch::ones_like(target.depth))
-                           .clamp(kMinDepth, kMaxDepth)
-                           .log(),
-                       log_depth_of_variable(student, config), mask, target.alignment);
+      align_to_student(torch::where(mask, target.depth, torch::ones_like(target.depth)).log(),
+                       log_depth_of_variable(student, config), mask, target.alignment)
+          .clamp(std::log(kMinDepth), std::log(kMaxDepth));
   const DepthLosses depth_losses(networks, batch, weights, log_target);
 
   Losses losses;

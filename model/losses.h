@@ -45,8 +45,8 @@ struct Losses {
   void add(const Losses& other);  // takes no gradients over
 };
 
-// Mean over the images (weighted) of each image's mean of |error| over its mask. Images without a
-// valid pixel count as nothing.
+// Mean over the images that have a valid pixel of weight times the mean of |error| over its mask. A
+// weight of half is half the gradient, whatever the weights of the others.
 torch::Tensor masked_mean(const torch::Tensor& error, const torch::Tensor& mask,
                           const torch::Tensor& weight);
 
@@ -65,7 +65,8 @@ torch::Tensor gradient_loss(const torch::Tensor& log_depth, const torch::Tensor&
 
 // log_target brought to the student, who gets no gradient from it. `alignment` [B] int64 says how:
 // kScale moves an image so that its median error is 0; kAffine scales and shifts its inverse depth
-// by least squares, and falls back to kScale where that fit would be no depth.
+// by least squares, and falls back to kScale where that fit would be no depth: near turned into
+// far, or more than a few pixels beyond the farthest.
 torch::Tensor align_to_student(const torch::Tensor& log_target, const torch::Tensor& log_depth,
                                const torch::Tensor& mask, const torch::Tensor& alignment);
 

@@ -81,8 +81,10 @@ torch::Tensor NormImpl::forward(const torch::Tensor& x) {
     const torch::Tensor shift = bias - running_mean * scale;
     running_mean.lerp_(x.mean({0, 2, 3}), adopts);
     running_var.lerp_(x.var({0, 2, 3}, true), adopts);
-    weight.copy_(scale * (running_var + options.eps()).sqrt());
-    bias.copy_(shift + running_mean * scale);
+    if (keeps_answers) {
+      weight.copy_(scale * (running_var + options.eps()).sqrt());
+      bias.copy_(shift + running_mean * scale);
+    }
   }
   if (is_training()) num_batches_tracked += 1;
   return torch::batch_norm(x, weight, bias, running_mean, running_var, is_training(),
@@ -373,12 +375,16 @@ torch::Tensor DepthNetworkImpl::sample(const torch::Tensor& condition, int steps
   return x;
 }
 
-void measure_statistics(DepthNetwork& network, const std::vector<torch::Tensor>& pictures) {
+void measure_statistics(DepthNetwork& network, torch::nn::Module& part, Answers answers,
+                        const std::vector<torch::Tensor>& pictures) {
   const torch::NoGradGuard no_grad;
   const bool was_training = network->is_training();
   const auto set = [&](double adopts) {
-    for (const auto& module : network->modules()) {
-      if (auto* norm = module->as<Norm>()) norm->adopts = adopts;
+    for (const auto& module : part.modules()) {
+      auto* norm = module->as<Norm>();
+      if (norm == nullptr) continue;
+      norm->adopts = adopts;
+      norm->keeps_answers = answers == Answers::kKeep;
     }
   };
   network->eval();

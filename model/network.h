@@ -21,9 +21,10 @@ struct NormImpl : torch::nn::NormImplBase<2, NormImpl, torch::nn::BatchNormOptio
   // x's own statistics normalise it and are not kept.
   torch::Tensor forward_without_trace(const torch::Tensor& x);
 
-  // > 0: x's mean and deviation become a part of the statistics, of this weight, while what is
-  // computed in evaluation mode stays the same. See measure_statistics.
+  // > 0: x's mean and deviation become a part of the statistics, of this weight; where
+  // `keeps_answers`, what is computed in evaluation mode stays the same. See measure_statistics.
   double adopts = 0;
+  bool keeps_answers = true;
 
  private:
   void _check_input_dim(const torch::Tensor& x) override;
@@ -172,10 +173,15 @@ struct DepthNetworkImpl : torch::nn::Module {
 };
 TORCH_MODULE(DepthNetwork);
 
-// Gives every batch norm the statistics of what it sees of `pictures` (batches of normalised RGB):
-// before training on weights whose statistics are folded away. What the network computes in
-// evaluation mode stays as it was.
-void measure_statistics(DepthNetwork& network, const std::vector<torch::Tensor>& pictures);
+// What becomes of a batch norm's answers where its statistics are measured: they stay, for weights
+// that were trained with others (folded away ones); or the norm normalises again, for weights that
+// were never trained, or on other pictures.
+enum class Answers : std::uint8_t { kKeep, kNormalise };
+
+// Gives every batch norm of `part` (of the network, or the whole) the statistics of what it sees of
+// `pictures` (batches of normalised RGB).
+void measure_statistics(DepthNetwork& network, torch::nn::Module& part, Answers answers,
+                        const std::vector<torch::Tensor>& pictures);
 
 // x [B, C, H, W] with even H, W -> [B * 4, H/2 * W/2, C], one sequence per position in a 2x2 patch.
 torch::Tensor unfold_patches(const torch::Tensor& x);

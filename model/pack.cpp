@@ -1,14 +1,14 @@
 #include "model/pack.h"
 
 #include <algorithm>
+#include <cmath>
 #include <fstream>
 #include <map>
-#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
-#include <sstream>
 
 #include "firmware/base/folder.h"
 #include "firmware/nn/json.h"
+#include "model/dataset_files.h"
 
 namespace lcdm::model {
 namespace {
@@ -20,17 +20,8 @@ constexpr std::size_t kGap = 20;
 constexpr std::size_t kLeastTraining = 10;
 constexpr float kMapUnit = 1.0F / 256;
 constexpr std::size_t kKeptFrames = 1500;
-
-Result<std::string> read_text(const fs::path& path) {
-  std::ifstream file(path);
-  if (!file) {
-    return Status::error(StatusCode::kNotFound, "%s cannot be read: is the pack complete?",
-                         path.c_str());
-  }
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
+constexpr std::size_t kMostJsonBytes = 16U << 20;
+constexpr float kMostPixels = 1e6F;  // of a focal length
 
 std::vector<fs::path> files_of(const fs::path& folder, const std::string& extension) {
   const auto all = list_folder(folder);
@@ -43,6 +34,7 @@ std::vector<fs::path> files_of(const fs::path& folder, const std::string& extens
 
 // What intrinsics.json says that training needs.
 struct Intrinsics {
+  fs::path file;
   JsonValue json;
   double depth_unit = 0.001;
 };
@@ -62,50 +54,94 @@ Result<Intrinsics> read_clip_intrinsics(const fs::path& folder) {
                            ",\"cx\":" + std::to_string(cx) + ",\"cy\":" + std::to_string(cy) + "}";
   const Result<JsonValue> parsed = parse_json(json);
   if (!parsed) return parsed.status();
-  return Intrinsics{*parsed};
+  return Intrinsics{folder / "intrinsics.txt", *parsed};
 }
 
 Result<Intrinsics> read_intrinsics(const fs::path& folder) {
   if (fs::exists(folder / "intrinsics.txt")) return read_clip_intrinsics(folder);
-  const Result<std::string> text = read_text(folder / "intrinsics.json");
+  const fs::path file = folder / "intrinsics.json";
+  const Result<std::string> text = dataset::read_bytes(file, kMostJsonBytes);
   if (!text) return text.status();
   const Result<JsonValue> json = parse_json(*text);
   if (!json) {
-    return Status::error(StatusCode::kCorrupt, "%s/intrinsics.json: %s", folder.c_str(),
-                         json.status().text());
+    return Status::error(StatusCode::kCorrupt, "%s: %s", file.c_str(), json.status().text());
   }
-  Intrinsics out{*json};
+  Intrinsics out{file, *json};
   if (const JsonValue* unit = json->find("depth_unit_m"))
     out.depth_unit = unit->number().value_or(0);
   if (out.depth_unit <= 0) {
-    return Status::error(StatusCode::kCorrupt, "%s/intrinsics.json: depth_unit_m is not positive",
-                         folder.c_str());
+    return Status::error(StatusCode::kCorrupt, "%s: depth_unit_m is not positive", file.c_str());
   }
   return out;
 }
 
+// Where nothing is known of the camera but what the catalogue assumes.
+Result<CameraModel> assumed_camera(const fs::path& file, cv::Size size, float field_of_view) {
+  if (field_of_view > 0 && field_of_view < 180) {
+    return CameraModel::from_field_of_view(size.width, size.height, field_of_view);
+  }
+  return Status::error(StatusCode::kInvalidInput,
+                       "%s gives no fx, without which depth has no scale: write the focal length "
+                       "there in pixels, or field-of-view (degrees, horizontal, below 180) into "
+                       "the pack's entry of a catalogue (--data)",
+                       file.c_str());
+}
+
+// A number of `source`: `otherwise` where it has none, NaN where it is something else.
+float number_in(const JsonValue& source, const char* key, float otherwise) {
+  const JsonValue* value = source.find(key);
+  return value == nullptr ? otherwise : static_cast<float>(value->number().value_or(NAN));
+}
+
+// What a camera's picture is at another size; nothing is rounded where it is the same.
+CameraModel at_size(const CameraModel& camera, cv::Size size) {
+  const bool same = camera.width == size.width && camera.height == size.height;
+  return same ? camera : camera.resized(size.width, size.height);
+}
+
+// The camera that `source` describes for pictures of the size it names, at `size`.
+Result<CameraModel> described_camera(const fs::path& file, const JsonValue& source, cv::Size size) {
+  const float width = number_in(source, "width", static_cast<float>(size.width));
+  const float height = number_in(source, "height", static_cast<float>(size.height));
+  const float scale = static_cast<float>(size.width) / width;
+  if (!(width >= 1 && std::abs(height * scale - static_cast<float>(size.height)) <= 1)) {
+    return Status::error(StatusCode::kCorrupt,
+                         "%s: is for pictures of %gx%g pixels, and these have %dx%d, another "
+                         "shape: write what holds for these",
+                         file.c_str(), width, height, size.width, size.height);
+  }
+  const float fx = number_in(source, "fx", NAN);
+  const CameraModel camera{static_cast<int>(width),
+                           static_cast<int>(height),
+                           fx,
+                           number_in(source, "fy", fx),
+                           number_in(source, "cx", (width - 1) / 2),
+                           number_in(source, "cy", (height - 1) / 2),
+                           true};
+  for (const float value : {camera.fx, camera.fy, camera.cx, camera.cy}) {
+    if (value > 0 && value < kMostPixels) continue;
+    return Status::error(StatusCode::kCorrupt,
+                         "%s: fx, fy, cx and cy must be numbers of pixels above 0", file.c_str());
+  }
+  return at_size(camera, size);
+}
+
 // The camera of one frame: the pack's, or the frame's own where `frames` lists it.
-CameraModel camera_of(const Intrinsics& intrinsics, const std::string& frame, cv::Size size,
-                      float field_of_view) {
+Result<CameraModel> camera_of(const Intrinsics& intrinsics, const std::string& frame, cv::Size size,
+                              float field_of_view) {
   const JsonValue* source = &intrinsics.json;
   if (const JsonValue* frames = source->find("frames")) {
     if (const JsonValue* own = frames->find(frame)) source = own;
   }
-  const auto value = [&](const char* key) {
-    const JsonValue* v = source->find(key);
-    return v != nullptr ? static_cast<float>(v->number().value_or(0)) : 0.0F;
-  };
-  CameraModel camera{size.width,  size.height, value("fx"), value("fy"),
-                     value("cx"), value("cy"), true};
-  if (camera.fx > 0) return camera;
-  return CameraModel::from_field_of_view(size.width, size.height, field_of_view);
+  if (source->find("fx") != nullptr) return described_camera(intrinsics.file, *source, size);
+  return assumed_camera(intrinsics.file, size, field_of_view);
 }
 
 // The rows of the full picture that the teacher's maps cover: all, or those of band.json.
 Result<cv::Range> teacher_rows(const fs::path& folder, int height) {
   const fs::path path = folder / "band.json";
   if (!fs::exists(path)) return cv::Range(0, height);
-  const Result<std::string> text = read_text(path);
+  const Result<std::string> text = dataset::read_bytes(path, kMostJsonBytes);
   if (!text) return text.status();
   const Result<JsonValue> json = parse_json(*text);
   const JsonValue* rows = json ? json->find("rows") : nullptr;
@@ -120,23 +156,13 @@ Result<cv::Range> teacher_rows(const fs::path& folder, int height) {
   return range;
 }
 
-Result<cv::Mat> read_depth(const fs::path& path, double unit) {
-  const cv::Mat raw = cv::imread(path.string(), cv::IMREAD_UNCHANGED);
-  if (raw.type() != CV_16UC1) {
-    return Status::error(StatusCode::kCorrupt, "%s is not a 16-bit grey PNG", path.c_str());
-  }
-  cv::Mat depth;
-  raw.convertTo(depth, CV_32F, unit);
-  return depth;
-}
-
 // The depth of the full picture of `full` pixels, sampled at `size`.
 Result<cv::Mat> load_depth(const fs::path& folder, const std::string& frame, const PackUse& use,
                            double unit, cv::Size full, cv::Size size) {
   if (use.teacher == Teacher::kNone) return cv::Mat(cv::Mat::zeros(size, CV_32F));
   const fs::path maps = folder / (use.teacher == Teacher::kSensor ? "depth" : use.maps);
-  const Result<cv::Mat> map =
-      read_depth(maps / (frame + ".png"), use.teacher == Teacher::kSensor ? unit : kMapUnit);
+  const Result<cv::Mat> map = dataset::read_depth(
+      maps / (frame + ".png"), use.teacher == Teacher::kSensor ? unit : kMapUnit);
   if (!map) return map.status();
   cv::Mat depth;
   if (use.teacher == Teacher::kSensor) {
@@ -167,19 +193,7 @@ class FolderFrames final : public Frames {
   std::string name(std::size_t index) const override { return pictures_[index].stem().string(); }
 
   Result<PackFrame> read(std::size_t index) const override {
-    PackFrame frame;
-    frame.name = name(index);
-    cv::Size full;
-    const Result<cv::Mat> rgb = picture(index, full);
-    if (!rgb) return rgb.status();
-    frame.rgb = *rgb;
-    frame.camera = camera_of(intrinsics_, frame.name, full, use_.field_of_view);
-    if (full != rgb->size()) frame.camera = frame.camera.resized(rgb->cols, rgb->rows);
-    const Result<cv::Mat> depth =
-        load_depth(folder_, frame.name, use_, intrinsics_.depth_unit, full, rgb->size());
-    if (!depth) return depth.status();
-    frame.depth = *depth;
-    return frame;
+    return dataset::guarded(name(index), [&] { return read_files(index); });
   }
 
   bool has_neighbours(std::size_t index) const override {
@@ -187,26 +201,30 @@ class FolderFrames final : public Frames {
   }
 
   Result<cv::Mat> neighbour(std::size_t index, int offset) const override {
-    cv::Size full;
-    return picture(index + static_cast<std::size_t>(offset), full);
+    const std::size_t at = index + static_cast<std::size_t>(offset);
+    return dataset::guarded(name(at), [&]() -> Result<cv::Mat> {
+      const Result<cv::Mat> rgb = dataset::read_rgb(pictures_[at]);
+      if (!rgb) return rgb.status();
+      return dataset::reduced(*rgb, max_width_);
+    });
   }
 
  private:
-  // RGB, reduced; `full` becomes its size on disk.
-  Result<cv::Mat> picture(std::size_t index, cv::Size& full) const {
-    const fs::path& path = pictures_[index];
-    const cv::Mat bgr = cv::imread(path.string(), cv::IMREAD_COLOR);
-    if (bgr.empty()) {
-      return Status::error(StatusCode::kCorrupt, "%s is not a picture", path.c_str());
-    }
-    full = bgr.size();
-    cv::Mat rgb;
-    cv::cvtColor(bgr, rgb, cv::COLOR_BGR2RGB);
-    if (rgb.cols <= max_width_) return rgb;
-    const int height = cvRound(static_cast<double>(rgb.rows) * max_width_ / rgb.cols);
-    cv::Mat reduced;
-    cv::resize(rgb, reduced, {max_width_, height}, 0, 0, cv::INTER_AREA);
-    return reduced;
+  Result<PackFrame> read_files(std::size_t index) const {
+    const Result<cv::Mat> full = dataset::read_rgb(pictures_[index]);
+    if (!full) return full.status();
+    PackFrame frame;
+    frame.name = name(index);
+    frame.rgb = dataset::reduced(*full, max_width_);
+    const Result<CameraModel> camera =
+        camera_of(intrinsics_, frame.name, full->size(), use_.field_of_view);
+    if (!camera) return camera.status();
+    frame.camera = at_size(*camera, frame.rgb.size());
+    const Result<cv::Mat> depth = load_depth(folder_, frame.name, use_, intrinsics_.depth_unit,
+                                             full->size(), frame.rgb.size());
+    if (!depth) return depth.status();
+    frame.depth = *depth;
+    return frame;
   }
 
   fs::path folder_;
@@ -216,14 +234,28 @@ class FolderFrames final : public Frames {
   int max_width_;
 };
 
-Result<std::shared_ptr<const Frames>> keep_in_memory(const Frames& frames, bool video) {
+// The first error where none of the first frames can be read: then it is not a picture that is
+// broken, but the pack.
+Status check_first(const Frames& frames) {
+  constexpr std::size_t kTried = 8;
+  Status first;
+  for (std::size_t i = 0; i < std::min(kTried, frames.size()); ++i) {
+    const Result<PackFrame> frame = frames.read(i);
+    if (frame) return Status::ok();
+    if (first) first = frame.status();
+  }
+  return first;
+}
+
+std::shared_ptr<const Frames> keep_in_memory(const Frames& frames, bool video) {
   std::vector<PackFrame> kept;
+  std::map<std::size_t, Status> unreadable;
   for (std::size_t i = 0; i < frames.size(); ++i) {
     Result<PackFrame> frame = frames.read(i);
-    if (!frame) return frame.status();
-    kept.push_back(std::move(*frame));
+    if (!frame) unreadable[i] = frame.status();
+    kept.push_back(frame ? std::move(*frame) : PackFrame{frames.name(i), {}, {}, {}});
   }
-  return std::shared_ptr<const Frames>(std::make_shared<MemoryFrames>(std::move(kept), video));
+  return std::make_shared<MemoryFrames>(std::move(kept), video, std::move(unreadable));
 }
 
 std::vector<fs::path> pictures_of(const fs::path& folder, std::size_t every) {
@@ -273,11 +305,8 @@ Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, 
   pack.use = use;
   pack.frames =
       std::make_shared<FolderFrames>(folder, std::move(pictures), use, *intrinsics, max_width);
-  if (pack.frames->size() <= kKeptFrames) {
-    auto kept = keep_in_memory(*pack.frames, use.video);
-    if (!kept) return kept.status();
-    pack.frames = *kept;
-  }
+  LCDM_RETURN_IF_ERROR(check_first(*pack.frames));
+  if (pack.frames->size() <= kKeptFrames) pack.frames = keep_in_memory(*pack.frames, use.video);
   std::vector<std::string> names;
   for (std::size_t i = 0; i < pack.frames->size(); ++i) names.push_back(pack.frames->name(i));
   Split split = split_frames(names);

@@ -12,8 +12,9 @@
 
 namespace lcdm::model {
 
-// Where a frame's depth comes from: a sensor (or the renderer), maps that a teacher made, nowhere.
-enum class Teacher : std::uint8_t { kSensor, kMaps, kNone };
+// Where a frame's depth comes from: a sensor, the renderer, maps that a teacher made, nowhere. In
+// the order in which a network's score on it is believed.
+enum class Teacher : std::uint8_t { kSensor, kRenderer, kMaps, kNone };
 
 // What training adjusts in a teacher's depth before learning from it, always towards the student:
 // nothing, its scale, or scale and shift of its inverse depth (affine-invariant teachers).
@@ -53,8 +54,9 @@ Split split_frames(const std::vector<std::string>& names);
 // The frames of a folder with rgb/NAME.jpg|png, intrinsics.json and depth/NAME.png or the maps
 // (with band.json), or of a clip: pictures and intrinsics.txt (fx fy cx cy) side by side. Pictures
 // wider than `max_width` are reduced. Up to 1,500 frames are read at once and kept in memory,
-// larger packs when they are needed. kNotFound: no such folder; kCorrupt: a file in it cannot be
-// used, named in the text. `every` > 1 keeps every n-th frame.
+// larger packs when they are needed; a broken one fails in read(), by its name. kNotFound: no such
+// folder; kCorrupt: the pack cannot be used, its file named in the text. `every` > 1 keeps every
+// n-th frame.
 Result<Pack> load_pack(const std::filesystem::path& root, const PackUse& use, int max_width,
                        std::size_t every = 1);
 

@@ -15,6 +15,7 @@
 #endif
 #if defined(LCDM_GLOO) || defined(LCDM_NCCL)
 #define LCDM_C10D
+#include <torch/csrc/distributed/c10d/PrefixStore.hpp>
 #include <torch/csrc/distributed/c10d/TCPStore.hpp>
 #endif
 
@@ -78,6 +79,22 @@ c10::intrusive_ptr<c10d::ProcessGroupGloo> make_gloo(const c10::intrusive_ptr<c1
 }
 #endif
 
+// Where the processes find each other: a server that the first of them opens, or torchrun's own,
+// which outlives them: each attempt to start them then has names of its own there.
+c10::intrusive_ptr<c10d::Store> open_store(const char* host, int port, int rank, int size) {
+  const char* agent = std::getenv("TORCHELASTIC_USE_AGENT_STORE");
+  const bool has_server = agent != nullptr && std::strcmp(agent, "True") == 0;
+  c10d::TCPStoreOptions options;
+  options.port = static_cast<std::uint16_t>(port);
+  options.isServer = rank == 0 && !has_server;
+  options.numWorkers = static_cast<std::size_t>(size);
+  auto store = c10::make_intrusive<c10d::TCPStore>(host, options);
+  if (!has_server) return store;
+  const char* attempt = std::getenv("TORCHELASTIC_RESTART_COUNT");
+  return c10::make_intrusive<c10d::PrefixStore>(
+      std::string("/worker/attempt_") + (attempt != nullptr ? attempt : "0"), store);
+}
+
 std::shared_ptr<Processes> make_group(const torch::Device& device,
                                       const c10::intrusive_ptr<c10d::Store>& store, int rank,
                                       int size) {
@@ -136,11 +153,7 @@ Result<std::shared_ptr<Processes>> Processes::join(const torch::Device& device) 
   }
 #ifdef LCDM_C10D
   try {
-    c10d::TCPStoreOptions options;
-    options.port = static_cast<std::uint16_t>(*port);
-    options.isServer = *rank == 0;
-    options.numWorkers = static_cast<std::size_t>(*size);
-    const auto store = c10::make_intrusive<c10d::TCPStore>(host, options);
+    const auto store = open_store(host, *port, *rank, *size);
     std::shared_ptr<Processes> group = make_group(device, store, *rank, *size);
     if (group != nullptr) return group;
   } catch (const std::exception& error) {

@@ -10,10 +10,11 @@ namespace lcdm::model {
 
 class Processes {
  public:
-  // Joins the others that torchrun's environment names: RANK, WORLD_SIZE, MASTER_ADDR, MASTER_PORT.
-  // Alone without WORLD_SIZE. NCCL for CUDA, Gloo otherwise. Blocks until all have come.
-  // kInvalidInput: a variable is missing or no number; kUnavailable: the others did not come, or
-  // this LibTorch was built without the backend.
+  // Joins the others that torchrun's environment names: RANK, WORLD_SIZE, MASTER_ADDR, MASTER_PORT,
+  // and TORCHELASTIC_USE_AGENT_STORE=True where torchrun itself listens there. Alone without
+  // WORLD_SIZE. NCCL for CUDA, Gloo otherwise. Blocks until all have come. kInvalidInput: a
+  // variable is missing or no number; kUnavailable: the others did not come, or this LibTorch was
+  // built without the backend.
   static Result<std::shared_ptr<Processes>> join(const torch::Device& device);
   virtual ~Processes() = default;
 

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdio>
+#include <sstream>
 
 namespace lcdm::model {
 namespace {
@@ -64,6 +65,42 @@ Result<Stage> parse_stage(const std::string& text) {
                          text.c_str());
   }
   return stage;
+}
+
+std::string recipe_text(const Recipe& recipe) {
+  std::ostringstream text;
+  text.precision(17);
+  const auto line = [&text](const char* name, const auto& value) {
+    text << name << " = " << value << '\n';
+  };
+  line("encoder", static_cast<int>(recipe.encoder));
+  line("preset", static_cast<int>(recipe.preset));
+  line("start", static_cast<int>(recipe.start));
+  line("seed", recipe.seed);
+  line("steps", recipe.steps);
+  for (const Stage& stage : recipe.stages) {
+    text << "stage = " << stage.share << ':' << stage.images << ':' << stage.until << ':'
+         << stage.learning_rate << '\n';
+  }
+  line("head-from", recipe.head_from);
+  line("freeze-from", recipe.freeze_from);
+  line("accumulate", recipe.accumulate);
+  line("workers", recipe.workers);
+  line("bf16", recipe.bf16);
+  line("learning-rate", recipe.learning_rate);
+  line("final-rate", recipe.final_rate);
+  line("warm-up", recipe.warm_up);
+  line("weight-decay", recipe.weight_decay);
+  line("clip", recipe.clip);
+  line("average", recipe.average);
+  line("distillation", recipe.losses.distillation);
+  line("denoising", recipe.losses.denoising);
+  line("normals", recipe.losses.normals);
+  line("photometric", recipe.losses.photometric);
+  line("smoothness", recipe.losses.smoothness);
+  line("gradient", recipe.losses.gradient);
+  line("direct", recipe.losses.direct);
+  return text.str();
 }
 
 std::size_t stage_at(const Recipe& recipe, std::int64_t step) {

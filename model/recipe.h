@@ -47,6 +47,9 @@ struct Recipe {
   LossWeights losses;
 };
 
+// All of it, one "name = value" a line: equal texts train alike.
+std::string recipe_text(const Recipe& recipe);
+
 // Index of the stage that `step` belongs to.
 std::size_t stage_at(const Recipe& recipe, std::int64_t step);
 

@@ -80,6 +80,7 @@ Result<PackFrame> RenderedFrames::read(std::size_t index) const {
 Pack rendered_pack(const ScenePackOptions& options) {
   Pack pack;
   pack.use.name = options.rendering == Rendering::kMedley ? "medley" : "scene";
+  pack.use.teacher = Teacher::kRenderer;
   pack.use.wide_share = options.wide_share;
   pack.use.tall_share = options.tall_share;
   pack.train.resize(options.train_frames);

@@ -43,7 +43,10 @@ Result<Estimator> teacher_of(const Options& options) {
   if (!options.torchscript.file.empty()) {
     TorchscriptOptions torchscript = options.torchscript;
     torchscript.input = {options.size[0], options.size[1]};
-    return torchscript_estimator(torchscript);
+    const Result<Estimator> module = torchscript_estimator(torchscript);
+    if (!module || torchscript.gives != TorchscriptOptions::Gives::kInverse) return module;
+    return Estimator(
+        [estimate = *module](const PackFrame& frame) { return at_ten_metres(estimate(frame)); });
   }
   const Result<DepthNetwork> network = load_checkpoint(options.checkpoint);
   if (!network) return network.status();
@@ -115,7 +118,8 @@ void add_teach(CLI::App& app, Status& status) {
       {"inverse", TorchscriptOptions::Gives::kInverse},
       {"affine", TorchscriptOptions::Gives::kAffineInverse}};
   add_choice(*command, "--gives", options->torchscript.gives, gives,
-             "What the module gives: depth, inverse (of depth), affine (inverse depth of unknown "
+             "What the module gives: depth (metres), inverse (depth of unknown scale; its maps' "
+             "median becomes 10 m, learn with align = \"scale\"), affine (inverse depth of unknown "
              "scale and shift; learn with align = \"affine\")");
   command->callback([options, &status] { status = run(*options); });
 }

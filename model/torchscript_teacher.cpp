@@ -1,5 +1,6 @@
 #include "model/torchscript_teacher.h"
 
+#include <algorithm>
 #include <opencv2/imgproc.hpp>
 #include <torch/script.h>
 
@@ -59,6 +60,18 @@ bool is_a_map(const torch::Tensor& out) {
 }
 
 }  // namespace
+
+cv::Mat at_ten_metres(const cv::Mat& map) {
+  constexpr float kMedian = 10;
+  std::vector<float> known;
+  for (const float depth : cv::Mat_<float>(map)) {
+    if (depth > 0) known.push_back(depth);
+  }
+  if (known.empty()) return map;
+  const auto middle = known.begin() + static_cast<std::ptrdiff_t>(known.size() / 2);
+  std::nth_element(known.begin(), middle, known.end());
+  return map * (kMedian / *middle);
+}
 
 Result<Estimator> torchscript_estimator(const TorchscriptOptions& options) {
   auto module = std::make_shared<torch::jit::Module>();

@@ -19,8 +19,16 @@ int multiple_of_32(double size) {
   return std::max(64, static_cast<int>(std::lround(size / 32)) * 32);
 }
 
-// Of the images a process has of each batch.
-std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, int rank) {
+// Whether any pictures are drawn for batches of the wide or of the 4:3 shape.
+bool is_drawn(const std::vector<Pack>& packs, bool wide) {
+  return std::any_of(packs.begin(), packs.end(), [wide](const Pack& pack) {
+    return !pack.train.empty() && (wide ? pack.use.wide_share : pack.use.tall_share) > 0;
+  });
+}
+
+// Of the images a process has of each batch; of the shapes that `packs` are drawn for.
+std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, int rank,
+                                    const std::vector<Pack>& packs) {
   std::vector<BatchShape> shapes;
   for (const auto& [width, height] : kDeployed) {
     BatchShape shape;
@@ -32,7 +40,7 @@ std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, in
     shape.first = rank * stage.images;
     shape.wide = width > 2 * height;
     shape.views = recipe.losses.photometric > 0 || recipe.losses.smoothness > 0;
-    shapes.push_back(shape);
+    if (is_drawn(packs, shape.wide)) shapes.push_back(shape);
   }
   return shapes;
 }
@@ -57,7 +65,7 @@ Result<std::vector<Batch>> make_samples(const Recipe& recipe, const std::vector<
   constexpr std::uint64_t kBatches = 16;
   Stage stage = recipe.stages.front();
   stage.images = 8;
-  const std::vector<BatchShape> shapes = make_shapes(recipe, stage, 0);
+  const std::vector<BatchShape> shapes = make_shapes(recipe, stage, 0, packs);
   std::vector<Batch> batches;
   for (std::uint64_t i = 0; i < kBatches; ++i) {
     Result<Batch> batch = make_batch(packs, shapes[i % shapes.size()], ~recipe.seed, i);
@@ -83,17 +91,21 @@ Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::ve
   return Status::ok();
 }
 
-// Batches have one shape each: a shape that no pack has pictures for cannot be drawn.
 Status check_shares(const std::vector<Pack>& packs) {
-  const auto drawn = [&](float PackUse::*share) {
-    return std::any_of(packs.begin(), packs.end(), [&](const Pack& pack) {
-      return !pack.train.empty() && pack.use.*share > 0;
-    });
-  };
-  if (drawn(&PackUse::wide_share) && drawn(&PackUse::tall_share)) return Status::ok();
+  if (is_drawn(packs, true) || is_drawn(packs, false)) return Status::ok();
   return Status::error(StatusCode::kInvalidInput,
-                       "no picture to train on for one of the two shapes: give a set of the "
-                       "catalogue a wide-share and one a tall-share");
+                       "no picture to train on: give a set of the catalogue a wide-share or a "
+                       "tall-share");
+}
+
+// Whether the head's norms are as they were made: neither moved by pictures nor trained.
+bool is_new(const Head& head) {
+  return !head->norm.empty() &&
+         std::all_of(head->norm.begin(), head->norm.end(), [](const Norm& norm) {
+           return (norm->running_mean == 0).all().item<bool>() &&
+                  (norm->running_var == 1).all().item<bool>() &&
+                  (norm->weight == 1).all().item<bool>();
+         });
 }
 
 }  // namespace
@@ -168,12 +180,23 @@ void Trainer::spread_weights() {
   replicas_->follow();
 }
 
-Status Trainer::measure() {
+Status Trainer::measure(torch::nn::Module& part, Answers answers) {
   const auto batches = make_samples(recipe_, packs_);
   if (!batches) return batches.status();
   std::vector<torch::Tensor> pictures;
   for (const Batch& batch : *batches) pictures.push_back(batch.rgb.to(compute_.device));
-  measure_statistics(networks_->depth, pictures);
+  measure_statistics(networks_->depth, part, answers, pictures);
+  return Status::ok();
+}
+
+// The average's head is still the same: what holds for one holds for both.
+Status Trainer::measure_new_head() {
+  Head& head = networks_->depth->head;
+  if (!has_head() || !past(recipe_.freeze_from) || !is_new(head)) return Status::ok();
+  LCDM_RETURN_IF_ERROR(measure(*head, Answers::kNormalise));
+  std::map<std::string, torch::Tensor> tensors;
+  collect(*head, "", tensors);
+  restore(*average_->head, "", tensors);
   return Status::ok();
 }
 
@@ -191,7 +214,9 @@ Status Trainer::start_from(const DepthNetwork& trained, Known statistics) {
     LCDM_RETURN_IF_ERROR(widen(trained, networks_->depth));
     statistics = Known::kNo;
   }
-  if (statistics == Known::kNo) LCDM_RETURN_IF_ERROR(measure());
+  if (statistics == Known::kNo) {
+    LCDM_RETURN_IF_ERROR(measure(*networks_->depth, Answers::kKeep));
+  }
   config.licence = trained->config.licence;
   config.variable_mean = trained->config.variable_mean;
   config.variable_std = trained->config.variable_std;
@@ -201,8 +226,11 @@ Status Trainer::start_from(const DepthNetwork& trained, Known statistics) {
 }
 
 Result<ImportReport> Trainer::start_encoder_from(const TensorFile& file, ChannelOrder order) {
-  auto report = import_mobilevit(file, order, networks_->depth->encoder);
-  if (report) spread_weights();
+  MobileVit& encoder = networks_->depth->encoder;
+  auto report = import_mobilevit(file, order, encoder);
+  if (!report) return report;
+  LCDM_RETURN_IF_ERROR(measure(*encoder, Answers::kNormalise));
+  spread_weights();
   return report;
 }
 
@@ -225,8 +253,8 @@ void Trainer::prepare_loader() {
   if (loader_ != nullptr && stage == loader_stage_) return;
   loader_.reset();
   loader_ = std::make_unique<BatchLoader>(
-      packs_, make_shapes(recipe_, recipe_.stages[stage], compute_.processes->rank()), recipe_.seed,
-      static_cast<std::uint64_t>(step_ * recipe_.accumulate), compute_.loaders);
+      packs_, make_shapes(recipe_, recipe_.stages[stage], compute_.processes->rank(), packs_),
+      recipe_.seed, static_cast<std::uint64_t>(step_ * recipe_.accumulate), compute_.loaders);
   loader_stage_ = stage;
 }
 
@@ -263,12 +291,14 @@ Status Trainer::set_licence(const std::string& licence) {
   return config_json(config()).status();
 }
 
+float Trainer::part() const {
+  return static_cast<float>(stage_at(recipe_, step_)) + (has_head() ? 0.5F : 0);
+}
+
 bool Trainer::note_score(double score) {
-  // A score with the head, or at another size, is no match for one without.
-  const float part = static_cast<float>(stage_at(recipe_, step_)) + (has_head() ? 0.5F : 0);
-  if (part == best_part_ && !(static_cast<float>(score) < best_)) return false;
+  if (part() == best_part_ && !(static_cast<float>(score) < best_)) return false;
   best_ = static_cast<float>(score);
-  best_part_ = part;
+  best_part_ = part();
   return true;
 }
 
@@ -336,10 +366,18 @@ Status not_finite(const Losses& losses, std::int64_t step) {
                        static_cast<long long>(step), terms.c_str());
 }
 
+Status diverged(const Divergence& divergence, std::int64_t step) {
+  return Status::error(StatusCode::kCorrupt,
+                       "step %lld: the training diverges: %s; lower the learning rate and begin "
+                       "again, or with --from best.safetensors",
+                       static_cast<long long>(step), divergence.text().c_str());
+}
+
 }  // namespace
 
 Result<Losses> Trainer::advance() {
   prepare_loader();
+  LCDM_RETURN_IF_ERROR(measure_new_head());
   set_modes();
   replicas_->clear_gradients();
   Losses losses;
@@ -356,6 +394,8 @@ Result<Losses> Trainer::advance() {
   gather(networks_, *compute_.processes, losses);
   replicas_->follow();
   if (!std::isfinite(losses.total.item<double>())) return not_finite(losses, step_);
+  divergence_.add(losses.total.item<double>(), part());
+  if (divergence_.found()) return diverged(divergence_, step_);
   if (const double norm = optimizer_->clip(recipe_.clip); !std::isfinite(norm)) {
     return Status::error(StatusCode::kCorrupt,
                          "step %lld: a gradient is not finite; lower the learning rate",
@@ -377,6 +417,7 @@ Status Trainer::save(const std::string& path) const {
   optimizer_->save(file.tensors);
   file.tensors["trainer.step"] = torch::tensor({step_, images_}, torch::kLong);
   file.tensors["trainer.best"] = torch::tensor({best_, best_part_});
+  file.tensors["trainer.divergence"] = divergence_.numbers();
   const Result<std::string> config = config_json(this->config());
   if (!config) return config.status();
   file.metadata["lcdm"] = *config;
@@ -409,6 +450,8 @@ Status Trainer::resume(const std::string& path) {
   images_ = step->second[1].item<std::int64_t>();
   best_ = best->second[0].item<float>();
   best_part_ = best->second[1].item<float>();
+  const auto divergence = tensors.find("trainer.divergence");
+  if (divergence != tensors.end()) divergence_.restore(divergence->second);
   loader_.reset();
   return Status::ok();
 }

@@ -10,6 +10,7 @@
 #include "firmware/base/status.h"
 #include "model/adamw.h"
 #include "model/batch.h"
+#include "model/divergence.h"
 #include "model/losses.h"
 #include "model/processes.h"
 #include "model/recipe.h"
@@ -55,8 +56,8 @@ class Trainer {
   double learning_rate() const { return learning_rate_at(recipe_, step_); }
   // Whether the head is trained by now.
   bool has_head() const { return past(recipe_.head_from); }
-  // One optimiser step. kCorrupt where the loss or a gradient is not finite: what and when; the
-  // weights are then those before the step.
+  // One optimiser step. kCorrupt where the loss or a gradient is not finite, or losses stay far
+  // above what they were (divergence.h): what and when; the weights are then those before the step.
   Result<Losses> advance();
 
   // Starts the depth network from weights trained before, also of a smaller encoder (widener.h);
@@ -64,8 +65,9 @@ class Trainer {
   // network, the batch norms' statistics are measured on the first samples. kInvalidInput: another
   // preset or shape, a larger encoder; errors as make_batch.
   Status start_from(const DepthNetwork& trained, Known statistics);
-  // Starts encoder or pose network from others' weights; before the first step. Errors as
-  // weight_import.h; kInvalidInput where there is no pose network.
+  // Starts encoder or pose network from others' weights; before the first step. The encoder's
+  // statistics are measured: theirs are of pictures scaled in another way. Errors as
+  // weight_import.h and make_batch; kInvalidInput where there is no pose network.
   Result<ImportReport> start_encoder_from(const TensorFile& file, ChannelOrder order);
   Result<ImportReport> start_pose_from(const TensorFile& file);
 
@@ -93,8 +95,12 @@ class Trainer {
           const ModelConfig& config);
 
   bool past(double share) const;
-  // The depth network's batch-norm statistics, on the first samples.
-  Status measure();
+  // What losses and scores can be compared within: the stage, with or without the head.
+  float part() const;
+  // The batch-norm statistics of `part` of the depth network, on the first samples.
+  Status measure(torch::nn::Module& part, Answers answers);
+  // The head's, where it joins after statistics are frozen: nothing has gone through it yet.
+  Status measure_new_head();
   // The average and the replicas become what `networks_` is.
   void spread_weights();
   void prepare_loader();
@@ -118,6 +124,7 @@ class Trainer {
   std::int64_t images_ = 0;
   std::int64_t unreadable_ = 0;
   Status why_unreadable_;
+  Divergence divergence_;
   float best_ = std::numeric_limits<float>::infinity();  // score
   float best_part_ = 0;                                  // the part of the training it is of
 };

@@ -2,8 +2,11 @@
 
 #include <cstdlib>
 #include <fstream>
+#include <span>
 #include <string>
 #include <unistd.h>
+
+#include "drivers/codec.h"
 
 namespace lcdm::model {
 namespace {
@@ -21,15 +24,17 @@ std::string rows_until(const std::filesystem::path& path, std::int64_t last) {
   return kept;
 }
 
-// Null where it cannot be written: a training goes on without its log.
+// Null where it cannot be written: a training goes on without its log. The rows that stay are
+// written beside the file first: a full disk must not cost what is there.
 std::FILE* open_to_append(const std::filesystem::path& path, std::int64_t last,
                           const std::string& header) {
-  const std::string rows = rows_until(path, last);
-  std::FILE* file = std::fopen(path.c_str(), "w");
-  if (file == nullptr) return nullptr;
-  std::fputs((rows.empty() ? header + "\n" : rows).c_str(), file);
-  std::fflush(file);  // what was there must survive whatever comes next
-  return file;
+  const std::string kept = rows_until(path, last);
+  const std::string rows = kept.empty() ? header + "\n" : kept;
+  const std::filesystem::path partial = path.string() + ".partial";
+  if (!write_file(partial.string(), std::as_bytes(std::span(rows)))) return nullptr;
+  std::error_code error;
+  std::filesystem::rename(partial, path, error);
+  return error ? nullptr : std::fopen(path.c_str(), "a");
 }
 
 }  // namespace

@@ -1,5 +1,8 @@
 #include "model/validation.h"
 
+#include <map>
+#include <numeric>
+
 #include "model/evaluation.h"
 
 namespace lcdm::model {
@@ -12,15 +15,17 @@ std::vector<std::size_t> evenly(const std::vector<std::size_t>& all, std::size_t
   return some;
 }
 
+double mean_of(const std::vector<double>& values) {
+  return std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
+}
+
 }  // namespace
 
 Validation validate(DepthNetwork& network, int steps, double share, const Data& data,
                     std::size_t frames) {
   Validation out;
   const Estimator estimator = network_estimator(network, steps, share);
-  double sensor_sum = 0;
-  double sum = 0;
-  std::size_t sensors = 0;
+  std::map<Teacher, std::vector<double>> ratios;
   for (std::size_t i = 0; i < data.packs.size(); ++i) {
     const Pack& pack = data.packs[i];
     const auto some = evenly(pack.validation, frames);
@@ -30,17 +35,9 @@ Validation validate(DepthNetwork& network, int steps, double share, const Data& 
         evaluate(*pack.frames, some, data.protocols[i], constant_estimator());
     const double ratio = network_result.mean.abs_rel / std::max(1e-9, constant.mean.abs_rel);
     out.sets.push_back({pack.use.name, network_result.mean, constant.mean});
-    sum += ratio;
-    if (pack.use.teacher == Teacher::kSensor) {
-      sensor_sum += ratio;
-      ++sensors;
-    }
+    ratios[pack.use.teacher].push_back(ratio);
   }
-  if (sensors > 0) {
-    out.score = sensor_sum / static_cast<double>(sensors);
-  } else if (!out.sets.empty()) {
-    out.score = sum / static_cast<double>(out.sets.size());
-  }
+  if (!ratios.empty()) out.score = mean_of(ratios.begin()->second);
   return out;
 }
 

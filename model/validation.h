@@ -18,8 +18,8 @@ struct Validation {
   };
   std::vector<Set> sets;
   // Mean over the sets of AbsRel as a share of a constant depth's: lower is better, 1 knows
-  // nothing. Over the sets with sensor depth, where there are some: maps only say how alike the
-  // teacher is.
+  // nothing. Over the sets with a sensor's depth where there are some, or else the rendered ones:
+  // renderings are not the world, and maps only say how alike the teacher is.
   double score = 0;
 };
 

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "model/csv.h"
+#include "model/safetensors.h"
 #include "model/scene_pack.h"
 
 namespace lcdm::model {
@@ -15,7 +16,7 @@ namespace fs = std::filesystem;
 
 TEST(AblationRows, AreThoseOfTheTables) {
   const std::vector<AblationRow> rows = ablation_rows({}, {"losses", "steps", "normals"});
-  ASSERT_EQ(rows.size(), 5U + 1 + 4);
+  ASSERT_EQ(rows.size(), 5U + 1 + 6);
   const LossWeights& first = rows[0].losses;
   EXPECT_EQ(first.photometric, 1);
   EXPECT_EQ(first.denoising + first.distillation + first.normals + first.gradient, 0);
@@ -26,44 +27,86 @@ TEST(AblationRows, AreThoseOfTheTables) {
   const LossWeights& all = rows[4].losses;
   EXPECT_EQ(all.photometric * all.denoising * all.distillation * all.normals, 1);
   EXPECT_EQ(rows[5].steps, (std::vector<int>{0, 1, 2, 3, 5, 10}));
-  EXPECT_EQ(rows[6].losses.normals, 0.1);
+  EXPECT_EQ(rows[6].losses.normals, 0);
+  EXPECT_EQ(rows[6].name, rows[2].name) << "the same network, trained once";
+  EXPECT_EQ(rows[7].losses.normals, 0.1);
+  EXPECT_EQ(rows[9].losses.normals, 1);
+  EXPECT_EQ(rows[9].name, rows[4].name);
 }
 
-TEST(Ablation, GoesOnWhereItStopped) {
-  at::set_num_threads(1);
-  const fs::path folder = fs::path(testing::TempDir()) / "lcdm-ablation";
-  fs::remove_all(folder);
-  ScenePackOptions scene;
-  scene.train_frames = 4;
-  scene.validation_frames = 2;
-  Data data;
-  data.packs = {rendered_pack(scene)};
-  data.protocols = {*protocol_named("scene")};
-  Recipe recipe;
-  recipe.encoder = EncoderKind::kXxs;
-  recipe.steps = 2;
-  recipe.stages = {{0.2, 2, 1}};
-  recipe.workers = 1;
-  AblationOptions options;
-  options.folder = folder.string();
-  options.tables = {"steps"};
-  options.seeds = 2;
-  const Status status = ablate(recipe, data, one_cpu(), options);
+// Two seeds of one network on a few rendered frames, two steps each.
+class Ablation : public testing::Test {
+ protected:
+  void SetUp() override {
+    at::set_num_threads(1);
+    fs::remove_all(folder_);
+    ScenePackOptions scene;
+    scene.train_frames = 4;
+    scene.validation_frames = 2;
+    data_.packs = {rendered_pack(scene)};
+    data_.protocols = {*protocol_named("scene")};
+    recipe_.encoder = EncoderKind::kXxs;
+    recipe_.steps = 2;
+    recipe_.stages = {{0.2, 2, 1}};
+    recipe_.workers = 1;
+    options_.folder = folder_.string();
+    options_.tables = {"steps"};
+    options_.seeds = 2;
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  Status run() { return ablate(recipe_, data_, one_cpu(), options_); }
+  std::map<std::string, torch::Tensor> weights() {
+    return read_tensors(checkpoint_.string())->tensors;
+  }
+
+  fs::path folder_ = fs::path(testing::TempDir()) / "lcdm-ablation";
+  fs::path checkpoint_ = folder_ / "ID5-all-seed1" / "checkpoint.safetensors";
+  Data data_;
+  Recipe recipe_;
+  AblationOptions options_;
+};
+
+TEST_F(Ablation, WritesTheTableAndDoesNothingTwice) {
+  const Status status = run();
   ASSERT_TRUE(status) << status.text();
-  const Result<CsvTable> table = read_csv((folder / "ablation.csv").string());
+  const Result<CsvTable> table = read_csv((folder_ / "ablation.csv").string());
   ASSERT_TRUE(table) << table.status().text();
   EXPECT_EQ(table->rows.size(), 2U * 6);  // seeds x numbers of steps
-  std::ifstream page(folder / "ablation.html");
+  std::ifstream page(folder_ / "ablation.html");
   const std::string text{std::istreambuf_iterator<char>(page), {}};
   EXPECT_NE(text.find("±"), std::string::npos);
 
-  // Again: nothing is trained, the figures are the same.
-  const fs::path checkpoint = folder / "ID5-all-seed1" / "checkpoint.safetensors";
-  const auto written = fs::last_write_time(checkpoint);
-  ASSERT_TRUE(ablate(recipe, data, one_cpu(), options));
-  EXPECT_EQ(fs::last_write_time(checkpoint), written);
-  EXPECT_EQ(read_csv((folder / "ablation.csv").string())->rows, table->rows);
-  fs::remove_all(folder);
+  const auto written = fs::last_write_time(checkpoint_);
+  ASSERT_TRUE(run());
+  EXPECT_EQ(fs::last_write_time(checkpoint_), written);
+  EXPECT_EQ(read_csv((folder_ / "ablation.csv").string())->rows, table->rows);
+}
+
+// Stopped after one step of two, it ends where it would have.
+TEST_F(Ablation, GoesOnWhereItStopped) {
+  options_.seeds = 1;
+  ASSERT_TRUE(run());
+  const auto unbroken = weights();
+  Recipe first = recipe_;
+  first.losses = ablation_rows(recipe_.losses, {"steps"})[0].losses;
+  const auto trainer = Trainer::make(first, data_.packs, one_cpu());
+  ASSERT_TRUE(trainer);
+  ASSERT_TRUE((*trainer)->advance());
+  ASSERT_TRUE((*trainer)->save(checkpoint_.string()));
+  ASSERT_TRUE(run());
+  for (const auto& [name, tensor] : weights()) {
+    EXPECT_TRUE(torch::equal(tensor, unbroken.at(name))) << name;
+  }
+}
+
+TEST_F(Ablation, RefusesTheNetworksOfAnotherRecipe) {
+  options_.seeds = 1;
+  ASSERT_TRUE(run());
+  recipe_.losses.gradient *= 2;
+  const Status status = run();
+  EXPECT_EQ(status.code(), StatusCode::kInvalidInput);
+  EXPECT_NE(std::string(status.text()).find("another recipe"), std::string::npos) << status.text();
 }
 
 }  // namespace

@@ -5,10 +5,12 @@
 #include <fstream>
 #include <gtest/gtest.h>
 
+#include "tests/model/data_set_fixture.h"
+
 namespace lcdm::model {
 namespace {
 
-namespace fs = std::filesystem;
+using OwnPack = DataSet;
 
 class CatalogueTest : public testing::Test {
  protected:
@@ -70,6 +72,7 @@ TEST_F(CatalogueTest, FaultsNameLineAndCure) {
   expect_fault("[[train]]\npath = \"a\"\nteacher = \"guess\"", "one of maps, none, sensor");
   expect_fault("[[train]]\npath = \"a\"\nprotocol = \"x\"", "is no protocol");
   expect_fault("[[train]]\ntrust = 1", "has no path");
+  expect_fault("[[train]]\npath = \"a\"\nvalidation-list = \"b\"", "only form = \"kitti-raw\"");
   expect_fault("[medley]\nframes = -1", "frames must be a number, 0 or more");
   expect_fault("[medley]\nframes = 1e8", "more would show the worlds that validate");
   expect_fault("[train]\npath = \"a\"", "write [[train]]");
@@ -106,6 +109,19 @@ TEST(Catalogues, OwnPacksHaveNoTestPart) {
   DataOptions options;
   options.packs = {testing::TempDir()};
   EXPECT_EQ(load_test_data(options).code(), StatusCode::kInvalidInput);
+}
+
+// Recordings of a depth camera, as the paper's own: nothing counts nearer than .1 m or beyond 10 m.
+TEST_F(OwnPack, IsMeasuredAsRgbdRecordingsAre) {
+  write_picture(root_ / "rgb" / "0.png", {64, 48}, {10, 100, 200});
+  write_depth(root_ / "depth" / "0.png", no_depth(48, 64));
+  write(root_ / "intrinsics.json", R"({"fx": 60})");
+  DataOptions options;
+  options.packs = {root_.string()};
+  const Result<Data> data = load_training_data(options);
+  ASSERT_TRUE(data) << data.status().text();
+  EXPECT_FLOAT_EQ(data->protocols[0].nearest, 0.1);
+  EXPECT_FLOAT_EQ(data->protocols[0].farthest, 10);
 }
 
 TEST(Catalogues, LoadTheSceneAlone) {

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <gtest/gtest.h>
 
+#include "model/validation.h"
+
 namespace lcdm::model {
 namespace {
 
@@ -99,6 +101,37 @@ TEST(NetworkEstimator, GivesMetres) {
   const cv::Mat canonical = estimator(frame);
   frame.camera.fx = 640;
   EXPECT_NEAR(cv::norm(estimator(frame), 2 * canonical, cv::NORM_INF), 0, 1e-4);
+}
+
+// A set of one random frame.
+Pack pack_of(Teacher teacher) {
+  PackFrame frame{"0", cv::Mat(48, 64, CV_8UC3), cv::Mat(48, 64, CV_32F),
+                  CameraModel::from_field_of_view(64, 48, 60)};
+  cv::randu(frame.rgb, 0, 255);
+  cv::randu(frame.depth, 1, 9);
+  Pack pack;
+  pack.use.teacher = teacher;
+  pack.frames = std::make_shared<MemoryFrames>(std::vector<PackFrame>{frame}, false);
+  pack.validation = {0};
+  return pack;
+}
+
+// A sensor's depth where there is some, else renderings, else the teacher's maps.
+TEST(Validate, ScoresOnTheDepthThatIsBelievedMost) {
+  ModelConfig config;
+  config.encoder = EncoderKind::kXxs;
+  DepthNetwork network(config);
+  network->eval();
+  Data data;
+  data.packs = {pack_of(Teacher::kMaps), pack_of(Teacher::kRenderer), pack_of(Teacher::kSensor)};
+  data.protocols.resize(3);
+  while (!data.packs.empty()) {
+    const Validation validation = validate(network, 0, 0.25, data, 8);
+    ASSERT_EQ(validation.sets.size(), data.packs.size());
+    const Validation::Set& last = validation.sets.back();
+    EXPECT_DOUBLE_EQ(validation.score, last.network.abs_rel / last.constant.abs_rel);
+    data.packs.pop_back();
+  }
 }
 
 // The file with LibTorch and in the engine, at the deployed size and at another: the same depth.

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "model/catalogue.h"
 #include "tests/model/data_set_fixture.h"
 
 namespace lcdm::model {
@@ -118,6 +119,31 @@ TEST_F(KittiRaw, ListsMayNameBothCamerasPadNumbersAndEndInCrLf) {
   EXPECT_EQ((*frames)->name(1), "2011_09_26_drive_0002_sync/image_03/0000000007");
   EXPECT_TRUE((*frames)->read(0));
   EXPECT_EQ((*frames)->read(1)->rgb.at<cv::Vec3b>(0, 0), cv::Vec3b(1, 2, 3));
+}
+
+// Eigen's split has a list of its own to validate on.
+TEST_F(KittiRaw, TrainsOnTheWholeListWhereAnotherValidates) {
+  std::string lines;
+  for (int i = 0; i < 20; ++i) lines += "2011_09_26/2011_09_26_drive_0002_sync 5 l\n";
+  list(lines);
+  write(root_ / "val.txt", "2011_09_26/2011_09_26_drive_0002_sync 6 l\n");
+  const std::string set = "root = \"" + root_.string() +
+                          "\"\n[[train]]\nform = \"kitti-raw\"\npath = \"raw\"\n"
+                          "list = \"list.txt\"\nteacher = \"none\"\n";
+  DataOptions options;
+  options.catalogue = (root_ / "catalogue.toml").string();
+  write(options.catalogue, set);
+  EXPECT_EQ(load_training_data(options)->packs[0].train.size(), 18U);  // every tenth validates
+  write(options.catalogue, set + "validation-list = \"val.txt\"\n");
+  const Result<Data> data = load_training_data(options);
+  ASSERT_TRUE(data) << data.status().text();
+  const Pack& pack = data->packs[0];
+  EXPECT_EQ(pack.train.size(), 20U);
+  ASSERT_EQ(pack.validation, std::vector<std::size_t>{20});
+  EXPECT_EQ(pack.frames->name(20), "2011_09_26_drive_0002_sync/image_02/0000000006");
+  EXPECT_TRUE(pack.frames->read(20));
+  EXPECT_TRUE(pack.frames->has_neighbours(19));
+  EXPECT_FALSE(pack.frames->has_neighbours(20)) << "it is the drive's last";
 }
 
 TEST_F(KittiRaw, PointsLandInThePixelWorkedOutByHand) {

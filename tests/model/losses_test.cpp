@@ -28,12 +28,18 @@ TEST(MaskedMean, CountsOnlyWhatIsValid) {
   EXPECT_DOUBLE_EQ(masked_mean(error, mask, torch::ones({1})).item<float>(), 2);
 }
 
+// Whatever else is in the batch: with one picture for each worker there is nothing else.
+TEST(MaskedMean, HalfTheTrustIsHalfTheLoss) {
+  const torch::Tensor error = image({4, 4}, 1, 2);
+  EXPECT_FLOAT_EQ(masked_mean(error, no_mask(error), torch::tensor({0.5F})).item<float>(), 2);
+}
+
 TEST(MaskedMean, EveryImageCountsByItsWeightHoweverManyPixelsItHas) {
   const torch::Tensor error = torch::cat({image({1, 1, 1, 1}, 2, 2), image({5, 9, 9, 9}, 2, 2)});
   const torch::Tensor mask =
       torch::cat({image({1, 1, 1, 1}, 2, 2), image({1, 0, 0, 0}, 2, 2)}).to(torch::kBool);
   EXPECT_FLOAT_EQ(masked_mean(error, mask, torch::tensor({1.0F, 3.0F})).item<float>(),
-                  4);  // (1 + 3 * 5) / 4
+                  8);  // (1 + 3 * 5) / 2
 }
 
 TEST(MaskedMean, ImagesWithoutDepthCountAsNothing) {
@@ -96,6 +102,17 @@ TEST(AlignToStudent, FitsScaleAndShiftOfInverseDepth) {
   const torch::Tensor out = align_to_student(-teacher.log(), -inverse.log(), no_mask(inverse),
                                              kinds_of({Alignment::kAffine}));
   EXPECT_LT((out + inverse.log()).abs().max().item<float>(), 1e-5);
+}
+
+// The fit of 99 pixels that a single outlier, the farthest, does not follow.
+TEST(AlignToStudent, FitsThoughAFewPixelsLandBeyondTheFarthest) {
+  const torch::Tensor inverse = torch::linspace(0.05, 1, 100).reshape({1, 1, 10, 10});
+  torch::Tensor teacher = 2 * inverse + 0.3;
+  teacher.view(-1)[0] = 0.1;  // 0.2 too little: a - 0.1 once scaled back
+  const torch::Tensor out = align_to_student(-teacher.log(), -inverse.log(), no_mask(inverse),
+                                             kinds_of({Alignment::kAffine}));
+  EXPECT_LT((out + inverse.log()).abs().narrow(2, 5, 5).max().item<float>(), 0.05);
+  EXPECT_NEAR(out.view(-1)[0].item<float>(), std::log(100.0F), 1e-4);
 }
 
 // Where near and far are swapped no scale and shift make depth of it: the median is all that helps.
@@ -162,6 +179,29 @@ TEST(DenoisingLoss, OfAMuteNetworkIsTheVarianceOfV) {
   EXPECT_NEAR(loss, 1, 0.03);
 }
 
+// A head that answers one number, at x0 = 1 and noise 2: it is right where that is v for `lcdm`,
+// and the noise for `paper`.
+TEST(DenoisingLoss, IsZeroForTheRightAnswer) {
+  for (const PresetKind preset : {PresetKind::kLcdm, PresetKind::kPaper}) {
+    ModelConfig config = small_config();
+    config.preset = preset;
+    DepthNetwork network(config);
+    network->eval();
+    const torch::NoGradGuard no_grad;
+    const double a = cumulative_alphas(preset)[74];
+    const double v = 2 * std::sqrt(a) - std::sqrt(1 - a);
+    network->head->conv2->weight.zero_();
+    network->head->conv2->bias.fill_(preset == PresetKind::kLcdm ? v : 2);
+    const torch::Tensor x0 = torch::ones({1, 1, 8, 8});
+    const DenoisingDraw draw{torch::full({1}, 74, torch::kLong), 2 * x0, 1};
+    const torch::Tensor condition = torch::zeros({1, config.condition_channels, 8, 8});
+    EXPECT_NEAR(denoising_loss(network, condition, x0, x0, no_mask(x0), torch::ones({1}), draw)
+                    .item<float>(),
+                0, 1e-6)
+        << "preset " << static_cast<int>(preset);
+  }
+}
+
 TEST(DrawDenoising, StaysWithinOneSamplerStep) {
   DepthNetwork network(small_config());
   at::Generator generator = at::detail::createCPUGenerator(6);
@@ -192,19 +232,103 @@ TEST(NormalLoss, IsTheSquaredDistanceOfTheUnitNormals) {
       << "scale is not a normal's business";
 }
 
+// Two random pictures of 64x64 with their neighbours, everything 5 m away.
+Batch random_batch() {
+  const torch::Tensor picture = torch::rand({2, 3, 64, 64});
+  Batch batch;
+  batch.rgb = (picture - 0.45) / 0.225;
+  const CameraModel camera{64, 64, 60, 60, 31.5F, 31.5F, true};
+  batch.cameras = pinholes_of({camera, camera});
+  batch.target = {torch::full({2, 1, 64, 64}, 5.0F), torch::ones({2}), torch::ones({2}),
+                  torch::zeros({2}, torch::kLong)};
+  batch.views = {picture, torch::rand_like(picture), torch::rand_like(picture), torch::ones({2})};
+  return batch;
+}
+
+// Maps of a teacher whose metres are a hundredth of ours lie below the nearest that can be said,
+// and are as good as any once they are aligned.
+TEST(TrainingLosses, KeepTheNearFieldOfTeachersOfTinyScale) {
+  torch::manual_seed(9);
+  TrainedNetworks networks(small_config(), false);
+  networks->eval();
+  Batch batch = random_batch();
+  batch.target.depth = 0.5 + 4 * torch::rand({2, 1, 64, 64});
+  batch.target.alignment = kinds_of({Alignment::kScale, Alignment::kScale});
+  const auto distillation = [&](double scale) {
+    Batch scaled = batch;
+    scaled.target.depth = batch.target.depth * scale;
+    at::Generator generator = at::detail::createCPUGenerator(8);
+    return training_losses(networks, scaled, {}, Part::kDirect, generator)[Term::kDistillation];
+  };
+  EXPECT_NEAR(distillation(0.01), distillation(1), 1e-4);
+}
+
+// Equation 11 and our two additions.
+TEST(TrainingLosses, AreTheWeightedSumOfTheirTerms) {
+  torch::manual_seed(10);
+  TrainedNetworks networks(small_config(), true);
+  networks->eval();
+  at::Generator generator = at::detail::createCPUGenerator(8);
+  const LossWeights weights{2, 3, 0.5, 0.7, 0.01, 0.4, 0.6};
+  const Losses losses = training_losses(networks, random_batch(), weights, Part::kWhole, generator);
+  const double sum = 2 * losses[Term::kDistillation] + 3 * losses[Term::kDenoising] +
+                     0.5 * losses[Term::kNormals] + 0.7 * losses[Term::kPhotometric] +
+                     0.01 * losses[Term::kSmoothness] + 0.4 * losses[Term::kGradient] +
+                     0.6 * losses[Term::kDirect];
+  EXPECT_NEAR(losses.total.item<double>(), sum, 1e-4 * sum);
+}
+
+// Each sampler step has a norm of its own: neither is out of the rollout's reach.
+TEST(TrainingLosses, ReachTheHeadThroughBothStepsOfTheRollout) {
+  torch::manual_seed(11);
+  TrainedNetworks networks(small_config(), false);
+  networks->eval();
+  at::Generator generator = at::detail::createCPUGenerator(8);
+  LossWeights weights;
+  weights.denoising = weights.direct = 0;
+  training_losses(networks, random_batch(), weights, Part::kWhole, generator).total.backward();
+  for (const Norm& norm : networks->depth->head->norm) {
+    EXPECT_GT(norm->weight.grad().abs().sum().item<float>(), 0);
+  }
+}
+
+// Between frames everything moves four pixels to the right, by a pose network that always answers
+// so and a depth that is the same everywhere. The frame before is seen by the motion undone: wrong
+// way round, both neighbours are eight pixels off.
+TEST(TrainingLosses, SeeTheFrameBeforeByTheMotionUndone) {
+  torch::manual_seed(12);
+  TrainedNetworks networks(small_config(), true);
+  networks->eval();
+  const torch::NoGradGuard no_grad;
+  constexpr int kShift = 4;
+  Batch batch = random_batch();
+  const torch::Tensor wide = torch::avg_pool2d(torch::rand({2, 3, 68, 84}), 5, 1);
+  batch.views.here = wide.narrow(3, 8, 64);
+  batch.views.earlier = wide.narrow(3, 8 + kShift, 64);
+  batch.views.later = wide.narrow(3, 8 - kShift, 64);
+  networks->depth->direct->weight.zero_();
+  networks->depth->direct->bias.zero_();
+  const double depth = depth_of_variable(torch::zeros({1}), small_config()).item<double>();
+  networks->pose->pose_2->weight.zero_();
+  networks->pose->pose_2->bias.zero_();
+  networks->pose->pose_2->bias[3] = 100 * kShift * depth / 60;  // PoseNet's unit is .01
+  LossWeights weights;
+  weights.photometric = 1;
+  const auto photometric = [&] {
+    at::Generator generator = at::detail::createCPUGenerator(8);
+    return training_losses(networks, batch, weights, Part::kDirect, generator)[Term::kPhotometric];
+  };
+  const double right = photometric();
+  std::swap(batch.views.earlier, batch.views.later);
+  EXPECT_LT(right, 0.1 * photometric());
+}
+
 TEST(TrainingLosses, NinetyPercentHolesGiveNoNanAndNoBias) {
   torch::manual_seed(7);
   TrainedNetworks networks(small_config(), true);
   networks->eval();
   at::Generator generator = at::detail::createCPUGenerator(8);
-  const torch::Tensor picture = torch::rand({2, 3, 64, 64});
-  Batch full;
-  full.rgb = (picture - 0.45) / 0.225;
-  const CameraModel camera{64, 64, 60, 60, 31.5F, 31.5F, true};
-  full.cameras = pinholes_of({camera, camera});
-  full.target = {torch::full({2, 1, 64, 64}, 5.0F), torch::ones({2}), torch::ones({2}),
-                 torch::zeros({2}, torch::kLong)};
-  full.views = {picture, torch::rand_like(picture), torch::rand_like(picture), torch::ones({2})};
+  const Batch full = random_batch();
   Batch holes = full;
   holes.target.depth = torch::where(torch::rand({2, 1, 64, 64}) < 0.9, torch::zeros({2, 1, 64, 64}),
                                     full.target.depth);

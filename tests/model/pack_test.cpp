@@ -7,6 +7,8 @@
 #include <fstream>
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <optional>
 
 #include "model/batch.h"
 #include "model/scene_pack.h"
@@ -100,6 +102,72 @@ TEST_F(SmallPack, BadFilesAreNamed) {
   EXPECT_EQ(load_pack(root_, use_, 640).code(), StatusCode::kNotFound);
 }
 
+// Intrinsics of 32x24 pictures beside pictures of 64x48.
+TEST_F(SmallPack, ScalesIntrinsicsOfAnotherSizeOfTheSameShape) {
+  write_intrinsics(R"({"width": 32, "height": 24, "fx": 50, "fy": 52, "cx": 15.5, "cy": 11.5})");
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_TRUE(pack) << pack.status().text();
+  const CameraModel camera = frame_of(*pack).camera;
+  EXPECT_EQ(camera.width, 64);
+  EXPECT_FLOAT_EQ(camera.fx, 100);
+  EXPECT_FLOAT_EQ(camera.fy, 104);
+  EXPECT_FLOAT_EQ(camera.cx, 31.5);
+  EXPECT_FLOAT_EQ(camera.cy, 23.5);
+}
+
+TEST_F(SmallPack, TakesSquarePixelsAndTheCentreWhereOnlyFxIsKnown) {
+  write_intrinsics(R"({"fx": 100})");
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_TRUE(pack) << pack.status().text();
+  const CameraModel camera = frame_of(*pack).camera;
+  EXPECT_FLOAT_EQ(camera.fy, 100);
+  EXPECT_FLOAT_EQ(camera.cx, 31.5);
+  EXPECT_FLOAT_EQ(camera.cy, 23.5);
+}
+
+TEST_F(SmallPack, RefusesIntrinsicsThatCannotBe) {
+  for (const char* text : {R"({"width": 64, "height": 64, "fx": 100})", R"({"fx": -100})",
+                           R"({"fx": 0})", R"({"fx": "100"})", R"({"fx": 100, "fy": -1})",
+                           R"({"fx": 100, "cx": null})", R"({"width": 0, "fx": 100})"}) {
+    write_intrinsics(text);
+    const Result<Pack> pack = load_pack(root_, use_, 640);
+    ASSERT_EQ(pack.code(), StatusCode::kCorrupt) << text;
+    EXPECT_NE(std::string(pack.status().text()).find("intrinsics.json"), std::string::npos);
+  }
+}
+
+// Depth would have no scale, and nobody told.
+TEST_F(SmallPack, WithoutFxNeedsAFieldOfView) {
+  write_intrinsics("{}");
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_EQ(pack.code(), StatusCode::kInvalidInput);
+  EXPECT_NE(std::string(pack.status().text()).find("field-of-view"), std::string::npos);
+  use_.field_of_view = 90;
+  const Result<Pack> assumed = load_pack(root_, use_, 640);
+  ASSERT_TRUE(assumed) << assumed.status().text();
+  EXPECT_FLOAT_EQ(frame_of(*assumed).camera.fx, 32);
+  EXPECT_FALSE(frame_of(*assumed).camera.calibrated);
+}
+
+// A JPEG that lost its end would train as a picture with a grey lower half.
+TEST_F(SmallPack, SkipsAndNamesATruncatedPicture) {
+  const fs::path cut = root_ / "pack" / "rgb" / "000001.jpg";
+  cv::Mat noise(480, 640, CV_8UC3);
+  cv::randu(noise, 0, 255);
+  cv::imwrite(cut.string(), noise);
+  fs::resize_file(cut, fs::file_size(cut) * 37 / 100);
+  fs::copy_file(root_ / "pack" / "depth" / "000000.png", root_ / "pack" / "depth" / "000001.png");
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_TRUE(pack) << pack.status().text();
+  EXPECT_TRUE(pack->frames->read(0));
+  const Result<PackFrame> broken = pack->frames->read(1);
+  ASSERT_EQ(broken.code(), StatusCode::kCorrupt);
+  EXPECT_NE(std::string(broken.status().text()).find("000001.jpg"), std::string::npos);
+  const Result<Batch> batch = make_batch({*pack}, {96, 64, 80, 8, false}, 1, 1);
+  ASSERT_TRUE(batch) << batch.status().text();
+  EXPECT_GT(batch->unreadable, 0) << "counted, and another one drawn";
+}
+
 TEST_F(SmallPack, CropKeepsDepthAtTheCanonicalFocalLength) {
   const Result<Pack> pack = load_pack(root_, use_, 640);
   ASSERT_TRUE(pack);
@@ -167,6 +235,102 @@ TEST(Augmentation, TakesDepthWhereItTakesThePicture) {
   EXPECT_LE(with_holes, 15);
 }
 
+// ---- Where a known point is seen after augmentation
+// ----------------------------------------------
+
+// A spot of light in one colour.
+void draw_spot(cv::Mat& rgb, int colour, const Point& at) {
+  for (int y = 0; y < rgb.rows; ++y) {
+    for (int x = 0; x < rgb.cols; ++x) {
+      const double distance = std::hypot(x - at.x, y - at.y);
+      rgb.at<cv::Vec3b>(y, x)[colour] =
+          static_cast<std::uint8_t>(255 * std::exp(-distance * distance / 18));
+    }
+  }
+}
+
+// Its centre; nothing where it is cut off or too near the border to be whole.
+std::optional<Point> find_spot(const cv::Mat& rgb, int colour) {
+  constexpr double kMargin = 20;
+  cv::Mat plane;
+  cv::extractChannel(rgb, plane, colour);
+  const cv::Moments moments = cv::moments(plane);
+  const Point centre{moments.m10 / moments.m00, moments.m01 / moments.m00};
+  const bool whole = centre.x > kMargin && centre.x < rgb.cols - kMargin && centre.y > kMargin &&
+                     centre.y < rgb.rows - kMargin;
+  return whole ? std::optional(centre) : std::nullopt;
+}
+
+// Red to the left of green, seen by a camera whose fx, fy, cx and cy all differ.
+class KnownPoints : public testing::Test {
+ protected:
+  KnownPoints() {
+    cv::Mat rgb = cv::Mat::zeros(240, 320, CV_8UC3);
+    for (const int colour : {0, 1}) draw_spot(rgb, colour, camera_.project(kRays[colour]));
+    std::vector<PackFrame> frames;
+    for (const char* name : {"0", "1", "2"}) {
+      frames.push_back({name, rgb, cv::Mat(240, 320, CV_32F, cv::Scalar(3)), camera_});
+    }
+    pack_.frames = std::make_shared<MemoryFrames>(frames, true);
+  }
+  AugmentedSample sample(std::uint64_t seed, bool views) const {
+    BatchShape shape{160, 120, 130, 1, false};
+    shape.views = views;
+    SampleRandom random(seed, 0, 0);
+    return *augment(pack_, 1, shape, random);
+  }
+
+  static constexpr Point kRays[2] = {{-0.1, -0.05}, {0.12, 0.09}};
+  CameraModel camera_{320, 240, 260, 250, 170.5F, 112.25F, true};
+  Pack pack_;
+};
+
+TEST_F(KnownPoints, LandOnTheirPixelsAfterCropResizeAndFlip) {
+  int found[2] = {};  // as they are, flipped
+  for (std::uint64_t seed = 0; seed < 40; ++seed) {
+    const AugmentedSample out = sample(seed, true);
+    const auto red = find_spot(out.plain, 0);
+    const auto green = find_spot(out.plain, 1);
+    if (!red || !green) continue;
+    const bool flipped = red->x > green->x;
+    ++found[flipped ? 1 : 0];
+    for (const auto& [spot, ray] : {std::pair(*red, kRays[0]), std::pair(*green, kRays[1])}) {
+      const Point expected = out.camera.project({flipped ? -ray.x : ray.x, ray.y});
+      EXPECT_NEAR(spot.x, expected.x, 0.25) << seed;
+      EXPECT_NEAR(spot.y, expected.y, 0.25) << seed;
+    }
+  }
+  EXPECT_GT(found[0], 5);
+  EXPECT_GT(found[1], 5);
+}
+
+TEST_F(KnownPoints, AreWhereTheyWereInNeighboursThatShowTheSame) {
+  for (std::uint64_t seed = 0; seed < 8; ++seed) {
+    const AugmentedSample out = sample(seed, true);
+    EXPECT_EQ(cv::norm(out.plain, out.earlier, cv::NORM_INF), 0);
+    EXPECT_EQ(cv::norm(out.plain, out.later, cv::NORM_INF), 0);
+  }
+}
+
+// A roll about the optical axis turns rays and keeps their angle to it.
+TEST_F(KnownPoints, KeepTheirAngleToTheAxisWhenTheCameraRolls) {
+  camera_.fy = camera_.fx;  // a roll is a turn of square pixels
+  PackFrame frame = *pack_.frames->read(1);
+  frame.camera = camera_;
+  draw_spot(frame.rgb, 0, camera_.project(kRays[0]));
+  pack_.frames = std::make_shared<MemoryFrames>(std::vector<PackFrame>(3, frame), false);
+  int rolled = 0;
+  for (std::uint64_t seed = 0; seed < 80; ++seed) {
+    const AugmentedSample out = sample(seed, false);
+    const auto red = find_spot(out.plain, 0);
+    if (!red) continue;
+    const Point ray = *out.camera.unproject(*red);
+    EXPECT_NEAR(std::hypot(ray.x, ray.y), std::hypot(kRays[0].x, kRays[0].y), 2e-3) << seed;
+    if (std::abs(ray.y - kRays[0].y) > 5e-3) ++rolled;
+  }
+  EXPECT_GT(rolled, 5);
+}
+
 // Frames of which every second cannot be read.
 class DamagedFrames final : public Frames {
  public:
@@ -224,6 +388,24 @@ TEST(Batches, AreSharedByProcesses) {
   shape.images = 2;
   shape.first = 2;
   EXPECT_TRUE(torch::equal(make_batch(packs, shape, 3, 1)->rgb, whole.part(2, 2).rgb));
+}
+
+// Two sizes in one sequence cannot be cut alike.
+TEST(Batches, RefuseANeighbourOfAnotherSize) {
+  std::vector<PackFrame> frames;
+  for (const cv::Size size : {cv::Size(64, 48), cv::Size(64, 48), cv::Size(32, 24)}) {
+    frames.push_back({std::to_string(frames.size()), cv::Mat(size, CV_8UC3, cv::Scalar::all(9)),
+                      cv::Mat(size, CV_32F, cv::Scalar(2)),
+                      CameraModel::from_field_of_view(size.width, size.height, 60)});
+  }
+  Pack pack;
+  pack.frames = std::make_shared<MemoryFrames>(frames, true);
+  BatchShape shape{96, 64, 80, 1, false};
+  shape.views = true;
+  SampleRandom random(1, 0, 0);
+  const Result<AugmentedSample> sample = augment(pack, 1, shape, random);
+  ASSERT_EQ(sample.code(), StatusCode::kCorrupt);
+  EXPECT_NE(std::string(sample.status().text()).find("32x24"), std::string::npos);
 }
 
 TEST(ScenePack, ValidatesOnUnseenWorlds) {

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <fstream>
 #include <gtest/gtest.h>
+#include <torch/csrc/distributed/c10d/TCPStore.hpp>
 
 #include "firmware/base/os.h"
 #include "model/csv.h"
@@ -44,9 +45,13 @@ class ProcessesTest : public testing::Test {
     ASSERT_EQ(program.wait(300), 0) << program.text();
   }
   void train_both(const std::string& output, const std::vector<std::string>& more) const {
-    const std::string port = std::to_string(20000 + os::monotonic_ns() / 1000 % 20000);
-    const auto environment = [&port](const char* rank) -> std::vector<std::string> {
-      return {"WORLD_SIZE=2", "MASTER_ADDR=127.0.0.1", "MASTER_PORT=" + port, rank};
+    train_both_at(20000 + os::monotonic_ns() / 1000 % 20000, "False", output, more);
+  }
+  void train_both_at(std::int64_t port, const std::string& agent, const std::string& output,
+                     const std::vector<std::string>& more) const {
+    const auto environment = [&](const char* rank) -> std::vector<std::string> {
+      return {"WORLD_SIZE=2", "MASTER_ADDR=127.0.0.1", "MASTER_PORT=" + std::to_string(port),
+              "TORCHELASTIC_USE_AGENT_STORE=" + agent, rank};
     };
     const std::vector<std::string> each = arguments(output, "1", "0.25:2:1", more);
     test::Program first(LCDM_TRAIN_PROGRAM, each, environment("RANK=0"));
@@ -94,6 +99,17 @@ TEST_F(ProcessesTest, TwoAddUpTheirGradients) {
   }
   EXPECT_GT(all, 1000000);
   EXPECT_LT(static_cast<double>(apart), 1e-3 * static_cast<double>(all));
+}
+
+// As torchrun starts them: it listens itself, and a second server on its port would be refused.
+TEST_F(ProcessesTest, TwoMeetAtTheServerOfWhoStartedThem) {
+  c10d::TCPStoreOptions options;
+  options.port = 0;  // any that is free
+  options.isServer = true;
+  options.waitWorkers = false;
+  const auto server = c10::make_intrusive<c10d::TCPStore>("127.0.0.1", options);
+  train_both_at(server->getPort(), "True", "both", {"--steps", "1"});
+  EXPECT_TRUE(weights_of("both"));
 }
 
 TEST_F(ProcessesTest, WrongEnvironmentIsNamed) {

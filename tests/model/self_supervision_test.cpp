@@ -26,6 +26,14 @@ TEST(StructuralDifference, OfFlatPicturesIsTheFormula) {
   EXPECT_NEAR(photometric_error(a, b).mean().item<double>(), 0.85 * expected + 0.15 * 0.4, 1e-4);
 }
 
+// x = .1 to .9 and y = x / 2 + .2 in a window of 3x3: means .5 and .45, variances 1/15 and 1/60,
+// covariance 1/30; the similarity is .4501 x .067567 / (.4526 x .084233).
+TEST(StructuralDifference, WeighsVarianceAndCovariance) {
+  const torch::Tensor x = torch::arange(1, 10).to(torch::kFloat32).reshape({1, 1, 3, 3}) / 10;
+  const torch::Tensor middle = structural_difference(x, x / 2 + 0.2)[0][0][1][1];
+  EXPECT_NEAR(middle.item<double>(), 0.101148, 1e-5);
+}
+
 TEST(PhotometricLoss, TakesTheBestOfTheNeighboursPixelByPixel) {
   const torch::Tensor target = torch::rand({1, 3, 16, 32});
   torch::Tensor left = target.clone();
@@ -72,6 +80,20 @@ TEST(PoseNet, HasTheSizeOfMonodepth2sAndStartsNearNoMotion) {
   const Motion motion = net->forward(torch::rand({2, 3, 64, 96}), torch::rand({2, 3, 64, 96}));
   EXPECT_EQ(motion.axis_angle.sizes(), (torch::IntArrayRef{2, 3}));
   EXPECT_LT(motion.translation.abs().max().item<double>(), 0.05);
+}
+
+// The first three channels are the picture taken earlier.
+TEST(PoseNet, TakesTheEarlierPictureFirst) {
+  torch::manual_seed(2);
+  PoseNet net;
+  net->eval();
+  const torch::NoGradGuard no_grad;
+  net->encoder->conv1->weight.narrow(1, 0, 3).zero_();
+  const torch::Tensor a = torch::rand({1, 3, 64, 96});
+  const torch::Tensor b = torch::rand({1, 3, 64, 96});
+  const torch::Tensor motion = net->forward(a, b).axis_angle;
+  EXPECT_TRUE(torch::equal(net->forward(torch::rand_like(a), b).axis_angle, motion));
+  EXPECT_FALSE(torch::equal(net->forward(a, torch::rand_like(b)).axis_angle, motion));
 }
 
 constexpr int kWidth = 96;

@@ -58,6 +58,17 @@ TEST_F(TorchscriptTeacher, InverseDepthIsTurnedAround) {
   EXPECT_NEAR(depth.at<float>(16, 61), 1, 1e-4);
 }
 
+// Stored in 1/256 m, a hundredth of a metre would be two steps.
+TEST(AtTenMetres, MovesTheMedianAndKeepsHolesAndRatios) {
+  const cv::Mat map = (cv::Mat_<float>(1, 4) << 0, 0.01F, 0.03F, 0.3F);
+  const cv::Mat out = at_ten_metres(map);
+  EXPECT_EQ(out.at<float>(0, 0), 0);
+  EXPECT_NEAR(out.at<float>(0, 1), 10.0 / 3, 1e-4);
+  EXPECT_NEAR(out.at<float>(0, 2), 10, 1e-4);
+  EXPECT_NEAR(out.at<float>(0, 3), 100, 1e-3);
+  EXPECT_TRUE(at_ten_metres({}).empty()) << "no answer stays none";
+}
+
 // Whatever its scale and shift, near stays near and a shift and scale of inverse depth brings back.
 TEST_F(TorchscriptTeacher, AffineInverseDepthIsSpreadOverTheRange) {
   const auto teacher =

@@ -57,9 +57,22 @@ std::unique_ptr<Trainer> trainer_of(const Recipe& recipe,
   return std::move(*trainer);
 }
 
-TEST(Trainer, RefusesPacksOfWhichOneShapeHasNone) {
+// Every batch is of the shape that is asked for: what nothing is drawn for takes no part.
+TEST(Trainer, TrainsOneShapeAlone) {
+  for (float PackUse::*unasked : {&PackUse::wide_share, &PackUse::tall_share}) {
+    std::vector<Pack> packs = {scene_packs()[0], scene_packs()[0]};
+    packs[0].use.*unasked = 0;
+    packs[1].use.wide_share = packs[1].use.tall_share = 0;
+    packs[1].frames = std::make_shared<MemoryFrames>(
+        std::vector<PackFrame>(packs[1].frames->size()), false);  // empty: not to be drawn
+    const auto trainer = trainer_of(small_recipe(), packs);
+    for (int i = 0; i < 2; ++i) ASSERT_TRUE(trainer->advance());
+  }
+}
+
+TEST(Trainer, RefusesPacksThatAreNeverDrawn) {
   std::vector<Pack> packs = scene_packs();
-  packs[0].use.tall_share = 0;
+  packs[0].use.wide_share = packs[0].use.tall_share = 0;
   EXPECT_EQ(Trainer::make(small_recipe(), packs, one_cpu()).code(), StatusCode::kInvalidInput);
   EXPECT_EQ(Trainer::make(small_recipe(), {}, one_cpu()).code(), StatusCode::kInvalidInput);
 }
@@ -70,13 +83,13 @@ TEST(Trainer, RefusesALicenceThatNoCheckpointCouldHold) {
   EXPECT_EQ(trainer->set_licence("two\nlines").code(), StatusCode::kInvalidInput);
 }
 
-// With moving batch-norm statistics, and over the step where the head joins.
-TEST(Trainer, ResumesBitExactly) {
+// A run stopped after three of six steps, over the step where the head joins.
+void expect_exact_resume(double freeze_from) {
   at::set_num_threads(1);
   const std::string path = scratch("lcdm-resume.safetensors");
   Recipe recipe = small_recipe();
   recipe.head_from = 0.6;
-  recipe.freeze_from = 1;
+  recipe.freeze_from = freeze_from;
   const auto straight = trainer_of(recipe);
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(straight->advance());
   EXPECT_TRUE(straight->note_score(0.5));
@@ -92,6 +105,27 @@ TEST(Trainer, ResumesBitExactly) {
   EXPECT_TRUE(resumed->done());
   EXPECT_TRUE(same_weights(*straight, *resumed));
   fs::remove(path);
+}
+
+TEST(Trainer, ResumesBitExactlyWhileStatisticsMove) { expect_exact_resume(1); }
+TEST(Trainer, ResumesBitExactlyWhenTheyAreFrozen) { expect_exact_resume(0.2); }
+
+// Frozen at mean 0 and deviation 1 they would normalise nothing for the rest of the run.
+TEST(Trainer, MeasuresAHeadThatJoinsAfterStatisticsAreFrozen) {
+  Recipe recipe = small_recipe();
+  recipe.steps = 2;
+  recipe.freeze_from = 0;
+  recipe.head_from = 0.5;
+  const auto trainer = trainer_of(recipe);
+  const auto moved = [&](std::size_t step) {
+    const Norm& norm = trainer->averaged()->head->norm[step];
+    return (norm->running_mean != 0).all().item<bool>() &&
+           (norm->running_var != 1).all().item<bool>();
+  };
+  ASSERT_TRUE(trainer->advance());
+  EXPECT_FALSE(moved(0)) << "the head has not joined";
+  ASSERT_TRUE(trainer->advance());
+  EXPECT_TRUE(moved(0) && moved(1));
 }
 
 // Everything of the paper at once on a moving camera: each term is there and the step is finite.
@@ -204,6 +238,17 @@ TEST(TrainingLog, GoesOnFromTheStepOfTheCheckpoint) {
   fs::remove_all(folder);
 }
 
+TEST(TrainingLog, FullDiskLeavesTheCurve) {
+  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
+  const fs::path folder = scratch("lcdm-log-full-disk");
+  fs::create_directories(folder);
+  std::ofstream(folder / "curve.csv") << "step,a\n25,1\n50,2\n";
+  fs::create_symlink("/dev/full", folder / "curve.csv.partial");
+  { const TrainingLog log(folder, 25, 100); }
+  EXPECT_EQ(read_csv((folder / "curve.csv").string())->rows.size(), 2U);
+  fs::remove_all(folder);
+}
+
 TEST(Trainer, RefusesACheckpointOfAnotherNetwork) {
   const std::string path = scratch("lcdm-other.safetensors");
   Recipe recipe = small_recipe();
@@ -235,6 +280,26 @@ TEST(Trainer, StartsFromTrainedWeights) {
   EXPECT_EQ(second->start_from(larger->averaged(), Known::kYes).code(), StatusCode::kInvalidInput);
 }
 
+// ImageNet encoders come with statistics of pictures in [0, 1] or of mean 0: what leaves a norm
+// here would be neither centred nor of unit size.
+TEST(Trainer, MeasuresTheStatisticsOfAnImportedEncoder) {
+  torch::manual_seed(3);
+  MobileVit theirs(EncoderKind::kXxs);
+  TensorFile file;
+  collect(*theirs, "", file.tensors);
+  const torch::NoGradGuard no_grad;
+  for (auto& [name, tensor] : file.tensors) {
+    if (name.find("running_mean") != std::string::npos) tensor.fill_(7);
+  }
+  const auto trainer = trainer_of(small_recipe());
+  ASSERT_TRUE(trainer->start_encoder_from(file, ChannelOrder::kRgb));
+  ConvNorm& stem = trainer->averaged()->encoder->stem;
+  EXPECT_TRUE(torch::equal(stem->bn->weight, theirs->stem->bn->weight)) << "the weights are theirs";
+  const Batch batch = *make_batch(scene_packs(), {160, 64, 80, 8, true}, 5, 0);
+  const torch::Tensor out = stem->bn->forward(stem->conv->forward(batch.rgb));
+  EXPECT_LT(out.mean({0, 2, 3}).abs().max().item<float>(), 1);
+}
+
 TEST(Trainer, SaysWhyItStopsOnNan) {
   Recipe recipe = small_recipe();
   recipe.learning_rate = 1e30;
@@ -247,6 +312,38 @@ TEST(Trainer, SaysWhyItStopsOnNan) {
   }
   ASSERT_FALSE(last);
   EXPECT_NE(std::string(last.text()).find("not finite"), std::string::npos) << last.text();
+}
+
+// 200 steps of loss 1, then 10 each: the mean of 200 passes 5 once 89 of them are 10.
+TEST(Divergence, IsAMeanFarAboveItsBest) {
+  Divergence divergence;
+  for (int i = 0; i < 200; ++i) divergence.add(1, 0);
+  for (int i = 0; i < 88; ++i) divergence.add(10, 0);
+  EXPECT_FALSE(divergence.found());
+  Divergence resumed;
+  resumed.restore(divergence.numbers());
+  resumed.add(10, 0);
+  EXPECT_TRUE(resumed.found());
+  EXPECT_NE(resumed.text().find("it was 1"), std::string::npos) << resumed.text();
+  resumed.add(10, 0.5);
+  EXPECT_FALSE(resumed.found()) << "with the head a loss is another sum";
+}
+
+// A checkpoint that holds a training about to diverge stops where the unbroken one would.
+TEST(Trainer, SaysWhyItStopsWhereLossesStayFarAboveTheirBest) {
+  const std::string path = scratch("lcdm-diverging.safetensors");
+  ASSERT_TRUE(trainer_of(small_recipe())->save(path));
+  TensorFile file = *read_tensors(path);
+  Divergence past;
+  for (std::size_t i = 0; i < Divergence::kWindow; ++i) past.add(1e-6, 0.5);
+  file.tensors["trainer.divergence"] = past.numbers();
+  ASSERT_TRUE(write_tensors(path, file));
+  const auto trainer = trainer_of(small_recipe());
+  ASSERT_TRUE(trainer->resume(path));
+  const Result<Losses> losses = trainer->advance();
+  ASSERT_EQ(losses.code(), StatusCode::kCorrupt);
+  EXPECT_NE(std::string(losses.status().text()).find("diverges"), std::string::npos);
+  fs::remove(path);
 }
 
 TEST(Checkpoint, FullDiskLeavesTheOldOne) {

@@ -20,7 +20,7 @@ DepthNetwork shaken(EncoderKind encoder) {
   for (auto& item : network->named_parameters()) {
     if (item.value().dim() == 1) item.value().add_(torch::randn_like(item.value()) * 0.1);
   }
-  measure_statistics(network, {torch::randn({2, 3, 64, 96}) * 0.7 + 0.2});
+  measure_statistics(network, *network, Answers::kKeep, {torch::randn({2, 3, 64, 96}) * 0.7 + 0.2});
   network->eval();
   return network;
 }
@@ -86,11 +86,11 @@ TEST(MeasureStatistics, ChangesNoAnswer) {
   DepthNetwork network = shaken(EncoderKind::kXxs);
   const torch::Tensor rgb = torch::randn({4, 3, 64, 96});
   const torch::Tensor before = answer(network, rgb);
-  measure_statistics(network, {torch::randn({4, 3, 96, 64}), rgb});
+  measure_statistics(network, *network, Answers::kKeep, {torch::randn({4, 3, 96, 64}), rgb});
   EXPECT_LT((answer(network, rgb) - before).abs().max().item<float>(),
             1e-3 * before.std().item<float>());
 
-  measure_statistics(network, {rgb});
+  measure_statistics(network, *network, Answers::kKeep, {rgb});
   const torch::NoGradGuard no_grad;
   const Norm& norm = network->encoder->stem->bn;
   const torch::Tensor seen = network->encoder->stem->conv->forward(rgb);

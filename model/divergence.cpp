@@ -1,0 +1,43 @@
+#include "model/divergence.h"
+
+#include <algorithm>
+#include <cstdio>
+#include <numeric>
+#include <vector>
+
+namespace lcdm::model {
+
+void Divergence::add(double loss, float part) {
+  if (part != part_) *this = {};
+  part_ = part;
+  recent_.push_back(static_cast<float>(loss));
+  if (recent_.size() > kWindow) recent_.pop_front();
+  if (recent_.size() < kWindow) return;
+  mean_ = static_cast<float>(std::accumulate(recent_.begin(), recent_.end(), 0.0) / kWindow);
+  least_ = std::min(least_, mean_);
+}
+
+bool Divergence::found() const { return mean_ > kWorst * least_; }
+
+std::string Divergence::text() const {
+  char text[120];
+  std::snprintf(text, sizeof(text), "the mean loss of the last %zu steps is %.3g, it was %.3g",
+                kWindow, mean_, least_);
+  return text;
+}
+
+torch::Tensor Divergence::numbers() const {
+  std::vector<float> all = {part_, mean_, least_};
+  all.insert(all.end(), recent_.begin(), recent_.end());
+  return torch::tensor(all);
+}
+
+void Divergence::restore(const torch::Tensor& numbers) {
+  part_ = numbers[0].item<float>();
+  mean_ = numbers[1].item<float>();
+  least_ = numbers[2].item<float>();
+  const torch::Tensor recent = numbers.slice(0, 3).contiguous();
+  recent_.assign(recent.data_ptr<float>(), recent.data_ptr<float>() + recent.numel());
+}
+
+}  // namespace lcdm::model

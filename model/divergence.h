@@ -1,0 +1,36 @@
+// Notices a training that has lost its way though every number of it is finite.
+#pragma once
+
+#include <cstddef>
+#include <deque>
+#include <limits>
+#include <string>
+
+#include "model/torch.h"
+
+namespace lcdm::model {
+
+class Divergence {
+ public:
+  static constexpr std::size_t kWindow = 200;  // steps
+  static constexpr double kWorst = 5;
+
+  // Notes the loss of one step. `part` names what the loss is made of: another part begins anew.
+  void add(double loss, float part);
+  // Whether the mean of the last kWindow losses exceeds kWorst times the least such mean.
+  bool found() const;
+  // "the mean loss of ... is 3.2, it was 0.4".
+  std::string text() const;
+
+  // All of it as one row of numbers, for a checkpoint; and back.
+  torch::Tensor numbers() const;
+  void restore(const torch::Tensor& numbers);
+
+ private:
+  std::deque<float> recent_;
+  float mean_ = 0;  // of a full window
+  float least_ = std::numeric_limits<float>::infinity();
+  float part_ = 0;
+};
+
+}  // namespace lcdm::model
