@@ -47,8 +47,8 @@ Status Service::run(const StopSignals& signals) {
   look();
   Status status;
   while (status && !signals.wait_for(kLookPeriod)) {
-    look();
     const PipelineState state = pipeline_.health().state();
+    look();  // after it: what ends this is told
     if (state == PipelineState::kFinished) break;
     if (state == PipelineState::kFault) {
       status = Status::error(StatusCode::kIoError, "nothing brings the camera back; start again");

@@ -1,0 +1,65 @@
+// The supervising loop on main: what it does, says and ends with when the camera misbehaves.
+#include <cstdlib>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <string>
+
+#include "app/exit_code.h"
+#include "app/report.h"
+#include "app/status_json.h"
+#include "tests/app/service_fixture.h"
+#include "tests/support/notify_socket.h"
+
+namespace lcdm {
+namespace {
+
+using std::chrono::milliseconds;
+using testing::HasSubstr;
+
+// Heard as systemd hears it.
+class ServiceLoopTest : public test::InnerServiceTest {
+ protected:
+  ServiceLoopTest() { setenv("NOTIFY_SOCKET", systemd_.path().c_str(), 1); }
+  ~ServiceLoopTest() override { unsetenv("NOTIFY_SOCKET"); }
+
+  // Runs until the script ends it; gives what it said to the log.
+  Status run() {
+    testing::internal::CaptureStdout();
+    Status status = pipeline_->start();
+    if (status) status = service_->run(signals_);
+    log_ = testing::internal::GetCapturedStdout();
+    return status;
+  }
+  // The message that begins so; empty when there is none.
+  std::string message(const std::string& start) {
+    std::string text;
+    while (!(text = systemd_.next(0)).empty() && text.rfind(start, 0) != 0) continue;
+    return text;
+  }
+
+  const StopSignals signals_;
+  test::NotifySocket systemd_{folder_.file("notify")};
+  std::string log_;
+};
+
+TEST_F(ServiceLoopTest, TheLastRungEndsTheProcessSoThatSystemdStartsAnother) {
+  camera_.on_dequeue = [](int) { return Status::error(StatusCode::kIoError, "fake: EIO"); };
+  PipelineOptions options;
+  options.recovery.give_up_after = milliseconds(0);
+  make(options);
+  const Status status = run();
+  EXPECT_EQ(report_failure(status), kExitFailure) << "which Restart=on-failure restarts";
+  EXPECT_THAT(log_, HasSubstr("fault: nothing brings the camera back: fake: EIO"));
+  EXPECT_THAT(message("STOPPING=1"), HasSubstr("restart: nothing brings the camera back"));
+}
+
+// It ends with the process, so it would be 0 for ever: systemd's NRestarts counts.
+TEST_F(ServiceLoopTest, TheStatusHasNoCountThatNobodyCanSee) {
+  make();
+  const auto status = status_json(*pipeline_, recorder_.status(), service_->status(), 0, 0);
+  EXPECT_TRUE(status["recovery"].contains("port_resets"));
+  EXPECT_FALSE(status["recovery"].contains("process_restarts"));
+}
+
+}  // namespace
+}  // namespace lcdm
