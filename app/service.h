@@ -2,8 +2,10 @@
 // device's state, and tells it to systemd and to people.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -55,6 +57,7 @@ class Service {
   void look();
   Effort judge_load(const HealthSnapshot& pipeline, std::int64_t now_ns);
   void say(const Judgement& now);
+  void say_recovery(const HealthSnapshot& pipeline, const std::string& fault);
   void notify(const Judgement& now, double rate, std::int64_t now_ns);
   void announce_source();
   void publish(const Judgement& now, std::int64_t now_ns);
@@ -72,6 +75,8 @@ class Service {
   ThermalReading heat_;
   Effort effort_ = Effort::kFull;
   std::int64_t heat_read_ns_ = 0;
+  std::array<std::uint64_t, kRecoveryRungs> said_steps_{};
+  std::optional<RecoveryRung> said_rung_;  // the newest, since depth last came
   bool announced_ = false;
   bool ready_said_ = false;
   std::int64_t last_ping_ns_ = 0;

@@ -42,6 +42,27 @@ class ServiceLoopTest : public test::InnerServiceTest {
   std::string log_;
 };
 
+// A stream that fails once, then a camera that is away for some tries, then the end of the script.
+TEST_F(ServiceLoopTest, EveryStepOfTheLadderIsALineOfTheLogButAWaitOnlyOnce) {
+  camera_.on_dequeue = [](int call) {
+    if (call == 30) return Status::error(StatusCode::kIoError, "fake: EIO");
+    if (call == 60) return Status::error(StatusCode::kDeviceGone, "fake: unplugged");
+    return call < 90 ? Status::ok() : Status::error(StatusCode::kEndOfStream, "fake: the end");
+  };
+  camera_.on_configure = [](int call) {
+    return call == 0 || call > 3 ? Status::ok()
+                                 : Status::error(StatusCode::kNotFound, "fake: away");
+  };
+  PipelineOptions options;  // each step takes long enough for a busy machine to look
+  options.recovery.first_backoff = options.recovery.last_backoff = milliseconds(500);
+  make(options);
+  EXPECT_TRUE(run());
+  EXPECT_THAT(log_, HasSubstr("recovery: stream restart: fake: EIO\n"));
+  const std::size_t wait = log_.find("recovery: wait for device: fake: unplugged\n");
+  ASSERT_NE(wait, std::string::npos) << log_;
+  EXPECT_EQ(log_.find("recovery: ", wait + 1), std::string::npos) << log_;
+}
+
 TEST_F(ServiceLoopTest, TheLastRungEndsTheProcessSoThatSystemdStartsAnother) {
   camera_.on_dequeue = [](int) { return Status::error(StatusCode::kIoError, "fake: EIO"); };
   PipelineOptions options;
