@@ -3,6 +3,7 @@
 #include <array>
 #include <chrono>
 #include <cstdio>
+#include <future>
 #include <string>
 #include <utility>
 
@@ -43,6 +44,17 @@ Service::Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, c
   notify_.status(to_string(DeviceState::kBooting));
 }
 
+Status Service::start() {
+  std::future<Status> started = std::async(std::launch::async, [this] {
+    os::set_thread_name("start");
+    return pipeline_.start();
+  });
+  while (started.wait_for(kLookPeriod) != std::future_status::ready) {
+    show(Judgement{}, os::monotonic_ns());  // booting
+  }
+  return started.get();
+}
+
 Status Service::run(const StopSignals& signals) {
   look();
   Status status;
@@ -81,11 +93,15 @@ void Service::look() {
   seen.effort = judge_load(seen.pipeline, now_ns);
   seen.effort_reason = ladder_.reason();
   const Judgement& now = supervisor_.judge(seen);
-  control_.press(panel_.look(now.state, now.alive, now_ns));
-  publish(now, now_ns);  // before it is said: who hears of it may ask at once
+  show(now, now_ns);  // before it is said: who hears of it may ask at once
   if (now.changed) say(now);
   say_recovery(pipeline, fault);
   notify(now, seen.pipeline.frames_per_second, now_ns);
+}
+
+void Service::show(const Judgement& now, std::int64_t now_ns) {
+  control_.press(panel_.look(now.state, now.alive, now_ns));
+  publish(now, now_ns);
 }
 
 // Follows heat and speed, and tells the pipeline.

@@ -41,12 +41,15 @@ struct ServiceStatus {
 // Whether depth comes in this state.
 bool gives_depth(DeviceState state);
 
-// Threads: run belongs to main; status is for any thread.
+// Threads: start and run belong to main; status is for any thread.
 class Service {
  public:
   // The first three are borrowed and must outlive the service.
   Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config);
 
+  // Starts the pipeline, which takes a slow board seconds, and shows meanwhile that the device
+  // boots.
+  Status start();
   // Until a signal comes, the source ends or its recovery does; the pipeline runs meanwhile.
   // kIoError: only a new process may bring the camera back.
   Status run(const StopSignals& signals);
@@ -55,6 +58,7 @@ class Service {
 
  private:
   void look();
+  void show(const Judgement& now, std::int64_t now_ns);
   Effort judge_load(const HealthSnapshot& pipeline, std::int64_t now_ns);
   void say(const Judgement& now);
   void say_recovery(const HealthSnapshot& pipeline, const std::string& fault);

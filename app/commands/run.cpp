@@ -91,7 +91,7 @@ int run(const RunOptions& options) {
                  address.c_str());
   }
 
-  Status status = pipeline.start();
+  Status status = service.start();
   if (status) {
     std::printf("page    %s\n", (*server)->address().c_str());
     std::fflush(stdout);

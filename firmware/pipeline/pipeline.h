@@ -42,9 +42,9 @@ struct PipelineOptions {
   CameraPort* port = nullptr;
 };
 
-// Threads: the owner's thread calls the constructor, start and stop. `capture` is the only caller
-// of the camera after start. `infer` decodes, runs the engine and calls the sinks. The rest is for
-// any thread.
+// Threads: the owner calls the constructor, start and stop, one after the other. `capture` is the
+// only caller of the camera after start. `infer` decodes, runs the engine and calls the sinks. The
+// rest is for any thread.
 class Pipeline {
  public:
   // What a factory calls between its steps, each of which may take a slow board seconds: the infer

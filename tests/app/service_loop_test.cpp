@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <string>
+#include <thread>
 
 #include "app/exit_code.h"
 #include "app/report.h"
@@ -25,7 +26,7 @@ class ServiceLoopTest : public test::InnerServiceTest {
   // Runs until the script ends it; gives what it said to the log.
   Status run() {
     testing::internal::CaptureStdout();
-    Status status = pipeline_->start();
+    Status status = service_->start();
     if (status) status = service_->run(signals_);
     log_ = testing::internal::GetCapturedStdout();
     return status;
@@ -41,6 +42,24 @@ class ServiceLoopTest : public test::InnerServiceTest {
   test::NotifySocket systemd_{folder_.file("notify")};
   std::string log_;
 };
+
+// The light blinks with what the status says.
+TEST_F(ServiceLoopTest, ShowsThatItBootsWhileTheEngineIsMade) {
+  bool looked = false;
+  make({},
+       [&](const FrameFormat&, const CameraModel&,
+           const Pipeline::Alive&) -> Result<std::unique_ptr<Engine>> {
+         const std::int64_t begin_ns = os::monotonic_ns();
+         while (!looked && os::monotonic_ns() - begin_ns < 60'000'000'000) {
+           looked = service_->status().looked_ns > begin_ns;
+           std::this_thread::sleep_for(milliseconds(5));
+         }
+         EXPECT_EQ(service_->status().judgement.state, DeviceState::kBooting);
+         return Status::error(StatusCode::kInvalidInput, "fake: no such size");
+       });
+  EXPECT_EQ(run().code(), StatusCode::kInvalidInput);
+  EXPECT_TRUE(looked);
+}
 
 // A stream that fails once, then a camera that is away for some tries, then the end of the script.
 TEST_F(ServiceLoopTest, EveryStepOfTheLadderIsALineOfTheLogButAWaitOnlyOnce) {
