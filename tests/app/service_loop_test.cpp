@@ -1,5 +1,6 @@
 // The supervising loop on main: what it does, says and ends with when the camera misbehaves.
 #include <cstdlib>
+#include <filesystem>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <string>
@@ -59,6 +60,18 @@ TEST_F(ServiceLoopTest, ShowsThatItBootsWhileTheEngineIsMade) {
        });
   EXPECT_EQ(run().code(), StatusCode::kInvalidInput);
   EXPECT_TRUE(looked);
+}
+
+// The end of a recording waits for the disk, which may hang.
+TEST_F(ServiceLoopTest, ALongPressAsksForPowerOffBeforeTheRecordingEnds) {
+  make();
+  ASSERT_TRUE(pipeline_->start());
+  ASSERT_TRUE(start_recording(*pipeline_, recorder_));
+  setenv("RUNTIME_DIRECTORY", folder_.path().c_str(), 1);
+  ButtonControl(*pipeline_, recorder_).press(Press::kLong);
+  unsetenv("RUNTIME_DIRECTORY");
+  EXPECT_TRUE(std::filesystem::exists(folder_.file("poweroff")));
+  EXPECT_TRUE(recorder_.status().recording);
 }
 
 // A stream that fails once, then a camera that is away for some tries, then the end of the script.
