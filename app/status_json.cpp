@@ -70,10 +70,17 @@ nlohmann::json source_json(const Pipeline::Source& source) {
           {"height", source.format.height}};
 }
 
+// With the intrinsics of the depth picture, which are not the camera's: points need them.
 nlohmann::json depth_json(const Pipeline::EngineView& engine) {
+  const CameraModel& camera = engine.depth_camera;
   return {{"scale", to_string(engine.scale)},
-          {"width", engine.depth_camera.width},
-          {"height", engine.depth_camera.height}};
+          {"width", camera.width},
+          {"height", camera.height},
+          {"fx", camera.fx},
+          {"fy", camera.fy},
+          {"cx", camera.cx},
+          {"cy", camera.cy},
+          {"calibrated", camera.calibrated}};
 }
 
 // The state of the whole device; `state` beside it is that of the pictures.
