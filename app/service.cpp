@@ -80,9 +80,11 @@ void Service::look() {
   const HealthSnapshot pipeline = pipeline_.health().snapshot(now_ns);
   const std::string fault = pipeline_.fault();  // after it: why each step in it was taken
   const RecorderStatus recorder = recorder_.status();
-  const std::array<OutputPulse, 3> outputs = {{{"encode", view_.heartbeat().age_ns(now_ns)},
-                                               {"record", recorder_.heartbeat().age_ns(now_ns)},
-                                               {"control", control_.heartbeat().age_ns(now_ns)}}};
+  const std::array<OutputPulse, 4> outputs = {
+      {{"encode", view_.heartbeat().age_ns(now_ns)},
+       {"record", recorder_.heartbeat().age_ns(now_ns)},
+       {"control", control_.heartbeat().age_ns(now_ns)},
+       {"page", page_ == nullptr ? -1 : page_->age_ns(now_ns)}}};
   Observation seen;
   seen.now_ns = now_ns;
   seen.pipeline = pipeline;

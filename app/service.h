@@ -47,6 +47,9 @@ class Service {
   // The first three are borrowed and must outlive the service.
   Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config);
 
+  // The heart of who asks whether the page answers; borrowed. Before start.
+  void watch_page(const Heartbeat& page) { page_ = &page; }
+
   // Starts the pipeline, which takes a slow board seconds, and shows meanwhile that the device
   // boots.
   Status start();
@@ -72,6 +75,7 @@ class Service {
   const ServiceNotify notify_;
   const Thermal thermal_;
   ButtonControl control_;
+  const Heartbeat* page_ = nullptr;
 
   FrontPanel panel_;  // from here on: main
   Supervisor supervisor_;

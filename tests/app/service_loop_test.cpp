@@ -95,6 +95,18 @@ TEST_F(ServiceLoopTest, EveryStepOfTheLadderIsALineOfTheLogButAWaitOnlyOnce) {
   EXPECT_EQ(log_.find("recovery: ", wait + 1), std::string::npos) << log_;
 }
 
+TEST_F(ServiceLoopTest, APageThatDoesNotAnswerDegradesTheDevice) {
+  camera_.on_dequeue = [](int call) {
+    return call < 300 ? Status::ok() : Status::error(StatusCode::kEndOfStream, "fake: the end");
+  };
+  make();
+  Heartbeat page;
+  page.beat(os::monotonic_ns() - 20'000'000'000);
+  service_->watch_page(page);
+  EXPECT_TRUE(run());
+  EXPECT_THAT(log_, HasSubstr("degraded: thread page gives no sign of life"));
+}
+
 TEST_F(ServiceLoopTest, TheLastRungEndsTheProcessSoThatSystemdStartsAnother) {
   camera_.on_dequeue = [](int) { return Status::error(StatusCode::kIoError, "fake: EIO"); };
   PipelineOptions options;
