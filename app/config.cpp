@@ -253,7 +253,7 @@ std::vector<ConfigField> config_fields(Config& c) {
       {"camera", "source", &c.camera.source, 0, 0, &source_objection},
       {"camera", "width", &c.camera.width, 32, 8192},
       {"camera", "height", &c.camera.height, 32, 8192},
-      {"camera", "frames_per_second", &c.camera.frames_per_second, 0.1, 1000},
+      {"camera", "frames_per_second", &c.camera.frames_per_second, 0.5, 1000},
       {"camera", "format", &c.camera.format, 0, 0, &format_objection},
       {"camera", "field_of_view", &c.camera.field_of_view, 5, 170},
       {"camera", "calibration", &c.camera.calibration},

@@ -10,6 +10,13 @@
 #include "firmware/base/os.h"
 
 namespace lcdm {
+namespace {
+
+void tell(const Status& status) {
+  if (!status) std::fprintf(stderr, "lcdm: button: %s\n", status.text());
+}
+
+}  // namespace
 
 Status start_recording(const Pipeline& pipeline, Recorder& recorder) {
   if (recorder.status().recording) return Status::ok();
@@ -47,9 +54,17 @@ ButtonControl::~ButtonControl() {
 }
 
 void ButtonControl::press(Press press) {
-  if (press == Press::kNone) return;
-  wanted_ = press;
-  work_.release();
+  switch (press) {
+    case Press::kNone:
+      return;
+    case Press::kShort:
+      toggle_wanted_ = true;
+      work_.release();
+      return;
+    case Press::kLong:  // here, behind no disk: the folder is in memory
+      tell(request_power_off());
+      return;
+  }
 }
 
 void ButtonControl::run() {
@@ -58,24 +73,14 @@ void ButtonControl::run() {
     work_.acquire();
     if (stopping_) return;
     heartbeat_.beat(os::monotonic_ns());
-    const Status status = act(wanted_.exchange(Press::kNone));
-    if (!status) std::fprintf(stderr, "lcdm: button: %s\n", status.text());
+    if (toggle_wanted_.exchange(false)) tell(toggle_recording());
     heartbeat_.rest();
   }
 }
 
-Status ButtonControl::act(Press press) {
-  switch (press) {
-    case Press::kNone:  // taken together with the press before
-      return Status::ok();
-    case Press::kShort:
-      if (!recorder_.status().recording) return start_recording(pipeline_, recorder_);
-      recorder_.stop();
-      return Status::ok();
-    case Press::kLong:
-      recorder_.stop();  // the file is whole before the power goes
-      return request_power_off();
-  }
+Status ButtonControl::toggle_recording() {
+  if (!recorder_.status().recording) return start_recording(pipeline_, recorder_);
+  recorder_.stop();
   return Status::ok();
 }
 

@@ -22,7 +22,8 @@ Status start_recording(const Pipeline& pipeline, Recorder& recorder);
 // power anything off. kUnsupported where there is no such folder.
 Status request_power_off();
 
-// Does what the button asks on a thread of its own, `control`: main must not wait for a disk.
+// Does what the button asks; recordings begin and end on a thread of its own, `control`: main must
+// not wait for a disk.
 class ButtonControl {
  public:
   // Both are borrowed and must outlive it.
@@ -31,8 +32,8 @@ class ButtonControl {
   ButtonControl(const ButtonControl&) = delete;
   ButtonControl& operator=(const ButtonControl&) = delete;
 
-  // Never waits. Short: recording begins or ends; long: it ends, then power off is asked for. A
-  // press while another is in work replaces one that waits.
+  // Never waits for a disk. Short: recording begins or ends; two while another is in work are one.
+  // Long: power off is asked for at once, and the stop that follows ends a recording.
   void press(Press press);
 
   // Of the thread `control`: rests while nothing is pressed.
@@ -40,11 +41,11 @@ class ButtonControl {
 
  private:
   void run();
-  Status act(Press press);
+  Status toggle_recording();
 
   const Pipeline& pipeline_;
   Recorder& recorder_;
-  std::atomic<Press> wanted_{Press::kNone};
+  std::atomic<bool> toggle_wanted_{false};
   std::atomic<bool> stopping_{false};
   std::counting_semaphore<> work_{0};
   Heartbeat heartbeat_;

@@ -100,6 +100,8 @@ class HttpServer {
   // Where a browser finds us, e.g. http://127.0.0.1:8080/
   std::string address() const;
   int port() const { return port_; }
+  // The address, a number, at which this machine itself reaches it.
+  std::string local_address() const;
 
  private:
   HttpServer(HttpOptions options, std::vector<HttpRoute> routes);

@@ -131,13 +131,19 @@ void LiveView::encode_painted() {
 
 void LiveView::encode_png() {
   const DepthFrame& frame = working_.frame;
-  const std::array<ImageText, 5> texts = {{{"scale", to_string(frame.scale)},
-                                           {"unit", "millimetre"},
-                                           {"source", source_name_},
-                                           {"sequence", std::to_string(frame.meta.sequence)},
-                                           {"unix_ns", std::to_string(frame.meta.unix_ns)}}};
+  const CameraModel& camera = frame.camera;
+  const std::array<ImageText, 10> texts = {{{"scale", to_string(frame.scale)},
+                                            {"unit", "millimetre"},
+                                            {"source", source_name_},
+                                            {"sequence", std::to_string(frame.meta.sequence)},
+                                            {"unix_ns", std::to_string(frame.meta.unix_ns)},
+                                            {"fx", std::to_string(camera.fx)},
+                                            {"fy", std::to_string(camera.fy)},
+                                            {"cx", std::to_string(camera.cx)},
+                                            {"cy", std::to_string(camera.cy)},
+                                            {"calibrated", camera.calibrated ? "yes" : "no"}}};
   const Status status = encode_depth_png(std::span(working_.depth).first(depth_values(frame)),
-                                         frame.camera.width, frame.camera.height, texts, encoded_);
+                                         camera.width, camera.height, texts, encoded_);
   if (status) publish(Product::kDepthPng, 0);
 }
 

@@ -3,6 +3,7 @@
 #include <array>
 #include <chrono>
 #include <cstdio>
+#include <future>
 #include <string>
 #include <utility>
 
@@ -43,12 +44,23 @@ Service::Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, c
   notify_.status(to_string(DeviceState::kBooting));
 }
 
+Status Service::start() {
+  std::future<Status> started = std::async(std::launch::async, [this] {
+    os::set_thread_name("start");
+    return pipeline_.start();
+  });
+  while (started.wait_for(kLookPeriod) != std::future_status::ready) {
+    show(Judgement{}, os::monotonic_ns());  // booting
+  }
+  return started.get();
+}
+
 Status Service::run(const StopSignals& signals) {
   look();
   Status status;
   while (status && !signals.wait_for(kLookPeriod)) {
-    look();
     const PipelineState state = pipeline_.health().state();
+    look();  // after it: what ends this is told
     if (state == PipelineState::kFinished) break;
     if (state == PipelineState::kFault) {
       status = Status::error(StatusCode::kIoError, "nothing brings the camera back; start again");
@@ -65,14 +77,17 @@ ServiceStatus Service::status() const {
 
 void Service::look() {
   const std::int64_t now_ns = os::monotonic_ns();
-  const std::string fault = pipeline_.fault();
+  const HealthSnapshot pipeline = pipeline_.health().snapshot(now_ns);
+  const std::string fault = pipeline_.fault();  // after it: why each step in it was taken
   const RecorderStatus recorder = recorder_.status();
-  const std::array<OutputPulse, 3> outputs = {{{"encode", view_.heartbeat().age_ns(now_ns)},
-                                               {"record", recorder_.heartbeat().age_ns(now_ns)},
-                                               {"control", control_.heartbeat().age_ns(now_ns)}}};
+  const std::array<OutputPulse, 4> outputs = {
+      {{"encode", view_.heartbeat().age_ns(now_ns)},
+       {"record", recorder_.heartbeat().age_ns(now_ns)},
+       {"control", control_.heartbeat().age_ns(now_ns)},
+       {"page", page_ == nullptr ? -1 : page_->age_ns(now_ns)}}};
   Observation seen;
   seen.now_ns = now_ns;
-  seen.pipeline = pipeline_.health().snapshot(now_ns);
+  seen.pipeline = pipeline;
   seen.fault = fault.c_str();
   seen.outputs = outputs;
   seen.recording = recorder.recording;
@@ -80,10 +95,15 @@ void Service::look() {
   seen.effort = judge_load(seen.pipeline, now_ns);
   seen.effort_reason = ladder_.reason();
   const Judgement& now = supervisor_.judge(seen);
-  control_.press(panel_.look(now.state, now.alive, now_ns));
-  publish(now, now_ns);  // before it is said: who hears of it may ask at once
+  show(now, now_ns);  // before it is said: who hears of it may ask at once
   if (now.changed) say(now);
+  say_recovery(pipeline, fault);
   notify(now, seen.pipeline.frames_per_second, now_ns);
+}
+
+void Service::show(const Judgement& now, std::int64_t now_ns) {
+  control_.press(panel_.look(now.state, now.alive, now_ns));
+  publish(now, now_ns);
 }
 
 // Follows heat and speed, and tells the pipeline.
@@ -140,6 +160,21 @@ void Service::publish(const Judgement& now, std::int64_t now_ns) {
 void Service::say(const Judgement& now) {
   if (gives_depth(now.state) && !announced_) announce_source();
   std::printf("%s%s%s\n", to_string(now.state), now.reason[0] == 0 ? "" : ": ", now.reason);
+  std::fflush(stdout);
+}
+
+// Every rung of the recovery ladder as it is taken. A wait for the device that goes on, a step a
+// second, is one.
+void Service::say_recovery(const HealthSnapshot& pipeline, const std::string& fault) {
+  if (pipeline.state == PipelineState::kStreaming) said_rung_.reset();
+  for (std::size_t i = 0; i < kRecoveryRungs; ++i) {
+    if (pipeline.recovery[i] == said_steps_[i]) continue;
+    said_steps_[i] = pipeline.recovery[i];
+    const auto rung = static_cast<RecoveryRung>(i);
+    const bool goes_on = rung == RecoveryRung::kWaitForDevice && said_rung_ == rung;
+    said_rung_ = rung;
+    if (!goes_on) std::printf("recovery: %s: %s\n", to_string(rung), fault.c_str());
+  }
   std::fflush(stdout);
 }
 

@@ -2,8 +2,10 @@
 // device's state, and tells it to systemd and to people.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -39,12 +41,18 @@ struct ServiceStatus {
 // Whether depth comes in this state.
 bool gives_depth(DeviceState state);
 
-// Threads: run belongs to main; status is for any thread.
+// Threads: start and run belong to main; status is for any thread.
 class Service {
  public:
   // The first three are borrowed and must outlive the service.
   Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config);
 
+  // The heart of who asks whether the page answers; borrowed. Before start.
+  void watch_page(const Heartbeat& page) { page_ = &page; }
+
+  // Starts the pipeline, which takes a slow board seconds, and shows meanwhile that the device
+  // boots.
+  Status start();
   // Until a signal comes, the source ends or its recovery does; the pipeline runs meanwhile.
   // kIoError: only a new process may bring the camera back.
   Status run(const StopSignals& signals);
@@ -53,8 +61,10 @@ class Service {
 
  private:
   void look();
+  void show(const Judgement& now, std::int64_t now_ns);
   Effort judge_load(const HealthSnapshot& pipeline, std::int64_t now_ns);
   void say(const Judgement& now);
+  void say_recovery(const HealthSnapshot& pipeline, const std::string& fault);
   void notify(const Judgement& now, double rate, std::int64_t now_ns);
   void announce_source();
   void publish(const Judgement& now, std::int64_t now_ns);
@@ -65,6 +75,7 @@ class Service {
   const ServiceNotify notify_;
   const Thermal thermal_;
   ButtonControl control_;
+  const Heartbeat* page_ = nullptr;
 
   FrontPanel panel_;  // from here on: main
   Supervisor supervisor_;
@@ -72,6 +83,8 @@ class Service {
   ThermalReading heat_;
   Effort effort_ = Effort::kFull;
   std::int64_t heat_read_ns_ = 0;
+  std::array<std::uint64_t, kRecoveryRungs> said_steps_{};
+  std::optional<RecoveryRung> said_rung_;  // the newest, since depth last came
   bool announced_ = false;
   bool ready_said_ = false;
   std::int64_t last_ping_ns_ = 0;

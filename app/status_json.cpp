@@ -33,7 +33,8 @@ nlohmann::json frames_json(const HealthSnapshot& now) {
       {"timeouts", now.timeouts}, {"reopened", now.reopened}, {"sequence_gaps", now.sequence_gaps}};
 }
 
-// How often each rung of the recovery ladder was stepped on.
+// How often each rung of the recovery ladder was stepped on, but for the last: a process that ends
+// tells nobody, and systemd counts those.
 nlohmann::json recovery_json(const HealthSnapshot& now) {
   const auto steps = [&now](RecoveryRung rung) {
     return now.recovery[static_cast<std::size_t>(rung)];
@@ -42,8 +43,7 @@ nlohmann::json recovery_json(const HealthSnapshot& now) {
           {"reopenings", steps(RecoveryRung::kReopen)},
           {"device_waits", steps(RecoveryRung::kWaitForDevice)},
           {"port_resets", steps(RecoveryRung::kResetPort)},
-          {"port_resets_skipped", now.resets_skipped},
-          {"process_restarts", steps(RecoveryRung::kRestartProcess)}};
+          {"port_resets_skipped", now.resets_skipped}};
 }
 
 nlohmann::json recording_json(const RecorderStatus& now) {
@@ -70,10 +70,17 @@ nlohmann::json source_json(const Pipeline::Source& source) {
           {"height", source.format.height}};
 }
 
+// With the intrinsics of the depth picture, which are not the camera's: points need them.
 nlohmann::json depth_json(const Pipeline::EngineView& engine) {
+  const CameraModel& camera = engine.depth_camera;
   return {{"scale", to_string(engine.scale)},
-          {"width", engine.depth_camera.width},
-          {"height", engine.depth_camera.height}};
+          {"width", camera.width},
+          {"height", camera.height},
+          {"fx", camera.fx},
+          {"fy", camera.fy},
+          {"cx", camera.cx},
+          {"cy", camera.cy},
+          {"calibrated", camera.calibrated}};
 }
 
 // The state of the whole device; `state` beside it is that of the pictures.

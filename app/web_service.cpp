@@ -3,9 +3,11 @@
 #include <array>
 #include <chrono>
 #include <cstdio>
+#include <span>
 #include <string>
 
 #include "app/control.h"
+#include "app/no_signal.h"
 #include "app/status_json.h"
 #include "app/web_files.h"
 #include "firmware/base/os.h"
@@ -20,6 +22,8 @@ using Wait = LiveView::Wait;
 constexpr milliseconds kPictureWait{3000};
 // A viewer hears from us at least this often, frames or not.
 constexpr milliseconds kSignOfLife{1000};
+// A picture that old is frozen, also where depth comes: nobody encodes it any more.
+constexpr std::int64_t kFrozenNs = 10'000'000'000;
 // Without a look of main's at everything for this long, its judgement counts no more.
 constexpr std::int64_t kLookDeadlineNs = 10'000'000'000;
 
@@ -54,16 +58,25 @@ void send_health(const Parts& parts, HttpExchange& exchange) {
                      std::string(hangs ? "thread main hangs" : to_string(state)) + "\n");
 }
 
+// In milliseconds.
+std::string age_text(std::int64_t age_ns) {
+  char text[32];
+  std::snprintf(text, sizeof(text), "%.1f", static_cast<double>(age_ns) * 1e-6);
+  return text;
+}
+
 // Everything that one must know to use the depth rightly, as headers.
 HttpHeaders depth_headers(const ProductCopy& product) {
-  char age[32];
-  std::snprintf(age, sizeof(age), "%.1f",
-                static_cast<double>(os::monotonic_ns() - product.meta.sensor_ns) * 1e-6);
   return {{"X-Depth-Scale", to_string(product.scale)},
           {"X-Depth-Unit", "millimetre"},
           {"X-Frame-Sequence", std::to_string(product.meta.sequence)},
           {"X-Frame-Stamp", std::to_string(product.meta.unix_ns)},
-          {"X-Frame-Age", age}};
+          {"X-Frame-Age", age_text(os::monotonic_ns() - product.meta.sensor_ns)}};
+}
+
+// Of the newest depth; negative: there was none yet.
+std::int64_t frame_age_ns(const Parts& parts) {
+  return parts.pipeline.health().snapshot(os::monotonic_ns()).frame_age_ns;
 }
 
 // File names and faults may hold bytes that are no UTF-8: they are replaced.
@@ -89,11 +102,37 @@ void send_depth_png(const Parts& parts, HttpExchange& exchange) {
   LiveView::Subscription subscription(parts.view, Product::kDepthPng);
   ProductCopy product;
   if (subscription.wait_newer(parts.view.newest(), kPictureWait, product) != Wait::kNewer) {
-    exchange.send_text(503, kText, "no signal: " + parts.pipeline.fault() + "\n",
-                       {{"Retry-After", "1"}});
+    const std::int64_t age_ns = frame_age_ns(parts);
+    HttpHeaders headers = {{"Retry-After", "1"}};
+    if (age_ns >= 0) headers.emplace_back("X-Frame-Age", age_text(age_ns));
+    exchange.send_text(503, kText, no_signal_text(age_ns) + ": " + parts.pipeline.fault() + "\n",
+                       headers);
     return;
   }
   exchange.send(200, "image/png", product.bytes, depth_headers(product));
+}
+
+bool write_part(HttpExchange& exchange, std::span<const std::byte> jpeg,
+                const HttpHeaders& headers) {
+  std::string head =
+      "--frame\r\nContent-Type: image/jpeg\r\nContent-Length: " + std::to_string(jpeg.size()) +
+      "\r\n";
+  for (const auto& [name, value] : headers) {
+    head.append(name).append(": ").append(value).append("\r\n");
+  }
+  return exchange.write_text(head + "\r\n") && exchange.write(jpeg) && exchange.write_text("\r\n");
+}
+
+// In place of `last`, which would look live: the same without colours, saying how old it is.
+bool write_no_signal(const Parts& parts, HttpExchange& exchange, const ProductCopy& last) {
+  const std::int64_t age_ns =
+      last.bytes.empty() ? frame_age_ns(parts) : os::monotonic_ns() - last.meta.sensor_ns;
+  const bool slow =
+      parts.pipeline.health().state() == PipelineState::kStreaming && age_ns < kFrozenNs;
+  if (slow) return exchange.write_text("\r\n");  // notices when the viewer has gone
+  HttpHeaders headers;
+  if (age_ns >= 0) headers.emplace_back("X-Frame-Age", age_text(age_ns));
+  return write_part(exchange, no_signal_jpeg(last.bytes, age_ns), headers);
 }
 
 void stream_mjpeg(const Parts& parts, HttpExchange& exchange) {
@@ -114,16 +153,10 @@ void stream_mjpeg(const Parts& parts, HttpExchange& exchange) {
     const Wait wait = subscription.wait_newer(product.number, kSignOfLife, product);
     if (wait == Wait::kClosed) return;
     if (wait == Wait::kTimeout) {
-      open = exchange.write_text("\r\n");  // notices that the viewer has gone
-      continue;
+      open = write_no_signal(parts, exchange, product);
+    } else {
+      open = write_part(exchange, product.bytes, depth_headers(product));
     }
-    std::string head = "--frame\r\nContent-Type: image/jpeg\r\nContent-Length: " +
-                       std::to_string(product.bytes.size()) + "\r\n";
-    for (const auto& [name, value] : depth_headers(product)) {
-      head.append(name).append(": ").append(value).append("\r\n");
-    }
-    open = exchange.write_text(head + "\r\n") && exchange.write(product.bytes) &&
-           exchange.write_text("\r\n");
   }
 }
 

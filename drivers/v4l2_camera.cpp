@@ -26,6 +26,7 @@ Status V4l2Camera::configure(const CaptureRequest& request) {
 Status V4l2Camera::open_and_configure(const CaptureRequest& request) {
   const Result<std::string> node = find_v4l2_node(selector_);
   if (!node) return node.status();
+  usb_ = usb_node_of(*node);  // before anything that a reset of its port may cure
   LCDM_RETURN_IF_ERROR(device_.open(*node));
   const std::vector<V4l2Mode> modes = list_modes(device_, request);
   const std::optional<V4l2Choice> choice = choose_mode(modes, request);
@@ -42,7 +43,6 @@ Status V4l2Camera::open_and_configure(const CaptureRequest& request) {
   v4l2_event_subscription changes{};
   changes.type = V4L2_EVENT_SOURCE_CHANGE;
   device_.control(VIDIOC_SUBSCRIBE_EVENT, &changes);
-  usb_ = usb_node_of(*node);
   model_ =
       CameraModel::from_field_of_view(format_.width, format_.height, request.assumed_field_of_view);
   return Status::ok();

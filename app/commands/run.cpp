@@ -14,6 +14,7 @@
 #include "app/http_token.h"
 #include "app/live_view.h"
 #include "app/mjpeg_decoder.h"
+#include "app/page_check.h"
 #include "app/recorder.h"
 #include "app/report.h"
 #include "app/service.h"
@@ -91,7 +92,10 @@ int run(const RunOptions& options) {
                  address.c_str());
   }
 
-  Status status = pipeline.start();
+  PageCheck page_check((*server)->local_address(), (*server)->port());
+  service.watch_page(page_check.heartbeat());
+
+  Status status = service.start();
   if (status) {
     std::printf("page    %s\n", (*server)->address().c_str());
     std::fflush(stdout);
@@ -99,6 +103,7 @@ int run(const RunOptions& options) {
   }
   view.stop();
   (*server)->stop();
+  page_check.stop();
   pipeline.stop();
   recorder.stop();
   return status ? kExitOk : report_failure(status);

@@ -119,6 +119,12 @@ function showFigures() {
 
 const megabytes = (bytes) => `${(bytes / 1e6).toFixed(1)} MB`;
 
+function recoverySteps() {
+  const { recovery } = status;
+  return `${recovery.stream_restarts} stream restarts, ${recovery.reopenings} reopenings, ` +
+    `${recovery.device_waits} waits for the device, ${recovery.port_resets} port resets`;
+}
+
 function showDetails() {
   const { frames, model } = status;
   const rows = [
@@ -130,7 +136,7 @@ function showDetails() {
     ["Frames captured", frames.captured], ["Frames with depth", frames.inferred],
     ["Lost by the source", frames.sequence_gaps], ["Broken", frames.corrupt],
     ["Refused by the engine", frames.failed], ["Camera time-outs", frames.timeouts],
-    ["Camera reopened", frames.reopened], ["Skipped while resting", frames.skipped],
+    ["Recovery", recoverySteps()], ["Skipped while resting", frames.skipped],
     ["Effort", status.effort.rung],
     ["Temperature", status.thermal.celsius === null ? "\u2013" : `${status.thermal.celsius.toFixed(0)} \u00b0C`],
     ["Watchdog", status.watchdog.managed ? `${status.watchdog.pings} pings` : "none"],

@@ -52,7 +52,8 @@ struct SupervisorOptions {
   // An output that ended by itself degrades the device for this long: it will not begin again by
   // itself, and the status goes on saying what became of it.
   std::int64_t output_fault_ns = 60'000'000'000;
-  // Frames come, but no depth and no step towards an engine, for this long.
+  // Frames come, but no depth and no step towards an engine, for this long. Longer than three
+  // periods of the slowest rate that may be configured: then the camera is silent.
   std::int64_t depth_deadline_ns = 10'000'000'000;
 };
 

@@ -65,7 +65,8 @@ class Camera {
   // Opens the source. On error nothing stays open, and the text says what, where, and the cure.
   virtual Status configure(const CaptureRequest& request) = 0;
 
-  // Valid after configure.
+  // Valid after configure. Of info(), `uri` always is, and `usb` also after one that failed
+  // although the camera was found: so that its port can be reset.
   virtual const FrameFormat& format() const = 0;
   virtual CameraModel model() const = 0;
   virtual CameraInfo info() const = 0;

@@ -10,6 +10,7 @@
 #include "firmware/pipeline/pipeline.h"
 
 #include <algorithm>
+#include <cerrno>
 #include <cstdio>
 #include <utility>
 
@@ -29,6 +30,21 @@ constexpr milliseconds kTakeTimeout{200};
 milliseconds three_periods(float frames_per_second) {
   if (frames_per_second <= 0) return milliseconds(100);
   return milliseconds(static_cast<int>(std::clamp(3000 / frames_per_second, 30.0F, 30'000.0F)));
+}
+
+// Whether time or the recovery ladder may cure a camera that cannot be opened or started. Missing
+// permission and wrong configuration only a person can.
+bool may_recover(const Status& fault) {
+  switch (fault.code()) {
+    case StatusCode::kNotFound:
+    case StatusCode::kDeviceGone:
+    case StatusCode::kUnavailable:
+      return true;
+    case StatusCode::kIoError:
+      return fault.sys_errno() != EACCES && fault.sys_errno() != EPERM;
+    default:
+      return false;
+  }
 }
 
 Pipeline::EngineView view_of(const Engine& engine) {
@@ -56,26 +72,25 @@ Pipeline::Pipeline(Camera& camera, EngineFactory make_engine, FrameDecoder* deco
 Status Pipeline::start() {
   LCDM_CHECK(!infer_thread_.joinable());
   health_.set_state(PipelineState::kStarting);
-  Status status = configure_camera();
-  if (status) status = prepare_engine(source());
-  if (status) status = camera_.start();
-  const bool absent =
-      status.code() == StatusCode::kNotFound || status.code() == StatusCode::kDeviceGone;
-  if (!status && (!absent || options_.port == nullptr)) {
+  Status opened = configure_camera();
+  const Status prepared = opened ? prepare_engine(source()) : Status::ok();
+  if (opened && prepared) opened = camera_.start();
+  const bool waits = !opened && options_.port != nullptr && may_recover(opened);
+  if (!prepared || (!opened && !waits)) {
     camera_.stop();
     health_.set_state(PipelineState::kStopped);
-    return status;
+    return prepared ? opened : prepared;
   }
-  if (absent) {
-    declare(status);
+  if (waits) declare(opened);
+  if (!pool_) {
     const std::lock_guard lock(mutex_);
-    source_.info = {camera_.info().uri, "not there yet"};
+    source_.info = {camera_.info().uri, "not open yet"};
   }
   stopping_ = false;
   prepared_generation_ = generation_;
   health_.beat_infer(os::monotonic_ns());  // its last one was before the camera's start
   infer_thread_ = std::thread([this] { infer_loop(); });
-  capture_thread_ = std::thread([this, status] { capture_loop(status); });
+  capture_thread_ = std::thread([this, opened] { capture_loop(opened); });
   return Status::ok();
 }
 

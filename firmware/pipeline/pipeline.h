@@ -38,13 +38,13 @@ struct PipelineOptions {
   std::chrono::milliseconds recover_after{2500};
   RecoveryOptions recovery;
   // Where the camera is plugged in; borrowed. Null: it is nothing that comes and goes, and one that
-  // is missing is an error of start.
+  // is missing or fails is an error of start.
   CameraPort* port = nullptr;
 };
 
-// Threads: the owner's thread calls the constructor, start and stop. `capture` is the only caller
-// of the camera after start. `infer` decodes, runs the engine and calls the sinks. The rest is for
-// any thread.
+// Threads: the owner calls the constructor, start and stop, one after the other. `capture` is the
+// only caller of the camera after start. `infer` decodes, runs the engine and calls the sinks. The
+// rest is for any thread.
 class Pipeline {
  public:
   // What a factory calls between its steps, each of which may take a slow board seconds: the infer
@@ -79,9 +79,11 @@ class Pipeline {
   Pipeline(const Pipeline&) = delete;
   Pipeline& operator=(const Pipeline&) = delete;
 
-  // Opens the camera, prepares everything, starts the threads. A camera that is not plugged in is
-  // waited for: the state is then kNoCamera, and the engine is prepared when it arrives. On error
-  // nothing runs. Once only.
+  // Opens the camera, prepares everything, starts the threads. A camera with a port that is not
+  // plugged in is waited for (the state is then kNoCamera), and one that fails is brought back like
+  // any other (kNoSignal); where it could not be opened the engine is prepared when it can. What
+  // only a person can cure is an error: missing permission, a format that nobody knows, an engine
+  // that cannot be made. On error nothing runs. Once only.
   Status start();
   // Ends and joins both threads: after the frame in work, and within one dequeue time-out. Again
   // is harmless.

@@ -68,6 +68,7 @@ bool Pipeline::judge_depth() {
 bool Pipeline::recover(Status fault) {
   alloc_watch::unseal_thread();
   close_camera();
+  if (!pool_) ladder_.note_nothing_open();
   while (!fault.is_ok() && !stopping_) {
     declare(fault);
     const RecoveryStep step = ladder_.next(fault.code(), os::monotonic_ns());
@@ -118,7 +119,8 @@ Status Pipeline::climb(RecoveryRung rung) {
 
 // A port that cannot be reset is passed over: reopening comes next anyway.
 void Pipeline::reset_port() {
-  const std::string usb = source().info.usb;
+  // The camera's own words, not source()'s: one that could never be opened is in none.
+  const std::string usb = camera_.info().usb;
   if (options_.port == nullptr || !options_.port->reset(usb)) health_.note_reset_skipped();
 }
 

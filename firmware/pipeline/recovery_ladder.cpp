@@ -22,8 +22,8 @@ RecoveryStep RecoveryLadder::next(StatusCode fault, std::int64_t now_ns) {
   depth_since_ns_ = -1;
 
   if (fault == StatusCode::kNotFound || fault == StatusCode::kDeviceGone) {
-    last_depth_ns_ = now_ns;       // its absence is nothing that a new process would cure
-    steps_ = std::max(steps_, 1);  // nothing is open whose stream could be restarted
+    last_depth_ns_ = now_ns;  // its absence is nothing that a new process would cure
+    note_nothing_open();
     return {RecoveryRung::kWaitForDevice, backoff()};
   }
   if (nanoseconds(now_ns - last_depth_ns_) >= options_.give_up_after) {

@@ -2,6 +2,7 @@
 // clock, no threads, no camera.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 
@@ -38,6 +39,9 @@ class RecoveryLadder {
 
   // A frame became depth: the camera works.
   void note_depth(std::int64_t now_ns);
+
+  // Nothing is open whose stream could be restarted: that step is passed over.
+  void note_nothing_open() { steps_ = std::max(steps_, 1); }
 
   // The camera failed, or the last step did: what to do next.
   RecoveryStep next(StatusCode fault, std::int64_t now_ns);

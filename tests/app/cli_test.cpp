@@ -211,6 +211,10 @@ TEST_F(Cli, RunServesItsPageAndEndsWhenToldTo) {
     EXPECT_EQ(status["state"], "streaming");
     EXPECT_EQ(status["source"]["uri"], "scene:1");
     EXPECT_EQ(status["depth"]["scale"], "relative");
+    EXPECT_EQ(status["depth"]["calibrated"], true) << "the scene knows its own";
+    EXPECT_NEAR(status["depth"]["cx"], (status["depth"]["width"].get<double>() - 1) / 2, 0.01);
+    EXPECT_GT(status["depth"]["fx"], 0);
+    EXPECT_GT(status["depth"]["fy"], 0);
     EXPECT_GE(status["frame"]["age_ms"], 0);
 
     test::RawClient viewer(port);

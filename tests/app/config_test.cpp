@@ -10,6 +10,8 @@
 #include <regex>
 #include <string>
 
+#include "firmware/health/supervisor.h"
+
 namespace lcdm {
 namespace {
 
@@ -131,6 +133,16 @@ TEST_F(ConfigFile, RefusesAValueOutOfRangeAndSaysTheRange) {
   EXPECT_THAT(error, HasSubstr("from 0 to 65535"));
   EXPECT_THAT(error_of("[camera]\nframes_per_second = nan\n"), HasSubstr("not allowed"));
   EXPECT_THAT(error_of("[camera]\nframes_per_second = inf\n"), HasSubstr("not allowed"));
+}
+
+// Three frames late is the camera's silence, and must be judged as that before the device's.
+TEST_F(ConfigFile, RefusesARateAtWhichEveryFrameWouldBeAMissedDeadline) {
+  Config config;
+  for (const ConfigField& field : config_fields(config)) {
+    if (field.key != std::string("frames_per_second")) continue;
+    EXPECT_LT(3e9 / field.min, static_cast<double>(SupervisorOptions().depth_deadline_ns));
+  }
+  EXPECT_THAT(error_of("[camera]\nframes_per_second = 0.3\n"), HasSubstr("from 0.5 to 1000"));
 }
 
 TEST_F(ConfigFile, RefusesATextThatMeansNothing) {

@@ -103,6 +103,9 @@ TEST(LiveView, GivesDepthItselfAsPng) {
   EXPECT_THAT(bytes, testing::HasSubstr("tEXtscale"));
   EXPECT_THAT(bytes, testing::HasSubstr("relative"));
   EXPECT_THAT(bytes, testing::HasSubstr("test:"));
+  EXPECT_THAT(bytes, testing::HasSubstr(std::string("tEXtfx\0", 7) +
+                                        std::to_string(frame.get().camera.fx)));
+  EXPECT_THAT(bytes, testing::HasSubstr(std::string("tEXtcalibrated\0no", 17)));
 }
 
 TEST(LiveView, GivesColourAndDepthOfOneFrameToThePage) {

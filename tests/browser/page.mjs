@@ -197,6 +197,7 @@ async function showsTheScene(context) {
   check((await page.textContent("#source")).includes("scene:"), "the source is named");
   await page.click("summary");
   await eventually(async () => (await page.textContent("#details")).includes("Licence"), "the details open");
+  check((await page.textContent("#details")).includes("0 stream restarts"), "the ladder's steps are shown");
   await page.click("#theme");
   check(await page.evaluate(() => document.documentElement.dataset.theme) === "light", "light theme");
   await page.click("#theme");

@@ -1,8 +1,10 @@
 // News of devices and port resets, in a system that does not exist.
 #include "drivers/usb_port.h"
 
+#include <cerrno>
 #include <gtest/gtest.h>
 
+#include "drivers/v4l2_camera.h"
 #include "tests/support/fake_v4l2.h"
 
 namespace lcdm {
@@ -43,6 +45,16 @@ TEST_F(UsbPortTest, ResetsTheUsbDevice) {
   const Status status = port.reset(FakeV4l2::kUsbPath);
   EXPECT_TRUE(status) << status.text();
   EXPECT_EQ(device.usb_resets(), 1);
+}
+
+TEST_F(UsbPortTest, ACameraThatCouldNotBeOpenedSaysWhichDeviceToReset) {
+  behaviour_.refuse = [](unsigned request) {
+    return request == static_cast<unsigned>(VIDIOC_S_FMT) ? EIO : 0;
+  };
+  const FakeV4l2 device(behaviour_);
+  V4l2Camera camera(FakeV4l2::kPath);
+  EXPECT_EQ(camera.configure({}).code(), StatusCode::kIoError);
+  EXPECT_EQ(camera.info().usb, FakeV4l2::kUsbPath);
 }
 
 TEST_F(UsbPortTest, WhatCannotBeResetSaysWhy) {

@@ -167,14 +167,82 @@ TEST_F(AbsentCameraTest, ItsArrivalCutsTheWaitShort) {
   ASSERT_TRUE(delivers(3));
 }
 
-TEST_F(PipelineTest, WhatOnlyAPersonCanCureIsAnErrorOfStartAlsoWithAPort) {
-  camera_.on_configure = [](int) { return Status::system(EACCES, "fake: join the group video"); };
-  FakePort port;
-  PipelineOptions options = fast();
-  options.port = &port;
-  make(options);
-  EXPECT_EQ(pipeline_->start().code(), StatusCode::kIoError);
-  EXPECT_EQ(health().state, PipelineState::kStopped);
+// Plugged in, but it fails when it is opened or started, until the test heals it.
+class CameraThatFailsAtTheStartTest : public PipelineTest {
+ protected:
+  void SetUp() override {
+    camera_.usb = "/dev/bus/usb/001/004";
+    options_ = fast();
+    options_.recovery.last_backoff = milliseconds(20);
+    options_.port = &port_;
+  }
+  Status answer(const Status& fault) const { return broken_ ? fault : Status::ok(); }
+
+  std::atomic<bool> broken_{true};
+  FakePort port_;
+  PipelineOptions options_;
+};
+
+TEST_F(CameraThatFailsAtTheStartTest, IsDeclaredAndReopenedUntilItCanBeOpened) {
+  for (const int fault : {EIO, EBUSY, ENOSPC}) {
+    broken_ = true;
+    camera_.on_configure = [&](int) { return answer(Status::system(fault, "fake: no format")); };
+    start(options_);
+    EXPECT_EQ(health().state, PipelineState::kNoSignal);
+    EXPECT_THAT(pipeline_->fault(), HasSubstr("fake: no format"));
+    EXPECT_EQ(pipeline_->source().info.uri, "fake:");
+    broken_ = false;
+    ASSERT_TRUE(delivers(3)) << "the engine is prepared when it can be opened";
+    EXPECT_GE(steps_on(RecoveryRung::kReopen), 1U);
+    EXPECT_EQ(steps_on(RecoveryRung::kRestartStream), 0U) << "nothing was open";
+    pipeline_->stop();
+  }
+}
+
+TEST_F(CameraThatFailsAtTheStartTest, IsWaitedForWhileItIsBusy) {
+  camera_.on_configure = [&](int) {
+    return answer(Status::error(StatusCode::kUnavailable, "fake: busy"));
+  };
+  start(options_);
+  EXPECT_EQ(health().state, PipelineState::kNoSignal);
+  broken_ = false;
+  EXPECT_TRUE(delivers(3));
+}
+
+TEST_F(CameraThatFailsAtTheStartTest, HasItsStreamStartedAgainWhenThatFailed) {
+  camera_.on_start = [](int call) {
+    return call == 0 ? Status::system(EIO, "fake: no stream") : Status::ok();
+  };
+  start(options_);
+  ASSERT_TRUE(delivers(3));
+  EXPECT_EQ(camera_.configured, 1);
+  EXPECT_EQ(steps_on(RecoveryRung::kRestartStream), 1U);
+}
+
+TEST_F(CameraThatFailsAtTheStartTest, IsCuredByAResetOfItsPort) {
+  camera_.on_configure = [&](int) { return answer(Status::system(EIO, "fake: no format")); };
+  port_.on_reset = [this] {
+    broken_ = false;
+    return Status::ok();
+  };
+  start(options_);
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  pipeline_->stop();
+  EXPECT_EQ(port_.last_usb, "/dev/bus/usb/001/004");
+  EXPECT_EQ(steps_on(RecoveryRung::kReopen), 3U);
+  EXPECT_EQ(steps_on(RecoveryRung::kResetPort), 1U);
+}
+
+TEST_F(CameraThatFailsAtTheStartTest, IsAnErrorOfStartWhereOnlyAPersonCanCureIt) {
+  for (const Status& fault : {Status::system(EACCES, "fake: join the group video"),
+                              Status::system(EPERM, "fake: not allowed"),
+                              Status::error(StatusCode::kUnsupported, "fake: no known format"),
+                              Status::error(StatusCode::kInvalidInput, "fake: another shape")}) {
+    camera_.on_configure = [&](int) { return fault; };
+    make(options_);
+    EXPECT_EQ(pipeline_->start().code(), fault.code()) << fault.text();
+    EXPECT_EQ(health().state, PipelineState::kStopped);
+  }
 }
 
 // Fails at every dequeue until the test clears it.

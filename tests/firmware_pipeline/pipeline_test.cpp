@@ -104,7 +104,7 @@ TEST_F(PipelineTest, AMissingCameraIsAnErrorOfStart) {
   EXPECT_EQ(camera_.started, 0);
 }
 
-TEST_F(PipelineTest, ACameraThatDoesNotStartIsClosed) {
+TEST_F(PipelineTest, ASourceWithoutAPortThatDoesNotStartIsClosed) {
   camera_.on_start = [](int) { return Status::error(StatusCode::kIoError, "fake: no bandwidth"); };
   make();
   EXPECT_EQ(pipeline_->start().code(), StatusCode::kIoError);

@@ -45,6 +45,12 @@ TEST_F(RecoveryLadderTest, ClimbsFromTheStreamToThePort) {
                                Rung::kResetPort}));
 }
 
+TEST_F(RecoveryLadderTest, WhereNothingIsOpenItBeginsByOpening) {
+  ladder_.note_nothing_open();
+  EXPECT_EQ(rungs_after(StatusCode::kIoError, 4),
+            (std::vector<Rung>{Rung::kReopen, Rung::kReopen, Rung::kReopen, Rung::kResetPort}));
+}
+
 TEST_F(RecoveryLadderTest, SilenceAndBrokenFramesAreFaultsLikeAnyOther) {
   for (const StatusCode fault : {StatusCode::kTimeout, StatusCode::kCorrupt}) {
     ladder_ = RecoveryLadder({}, now_ns_);

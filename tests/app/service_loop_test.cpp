@@ -1,0 +1,130 @@
+// The supervising loop on main: what it does, says and ends with when the camera misbehaves.
+#include <cstdlib>
+#include <filesystem>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <string>
+#include <thread>
+
+#include "app/exit_code.h"
+#include "app/report.h"
+#include "app/status_json.h"
+#include "tests/app/service_fixture.h"
+#include "tests/support/notify_socket.h"
+
+namespace lcdm {
+namespace {
+
+using std::chrono::milliseconds;
+using testing::HasSubstr;
+
+// Heard as systemd hears it.
+class ServiceLoopTest : public test::InnerServiceTest {
+ protected:
+  ServiceLoopTest() { setenv("NOTIFY_SOCKET", systemd_.path().c_str(), 1); }
+  ~ServiceLoopTest() override { unsetenv("NOTIFY_SOCKET"); }
+
+  // Runs until the script ends it; gives what it said to the log.
+  Status run() {
+    testing::internal::CaptureStdout();
+    Status status = service_->start();
+    if (status) status = service_->run(signals_);
+    log_ = testing::internal::GetCapturedStdout();
+    return status;
+  }
+  // The message that begins so; empty when there is none.
+  std::string message(const std::string& start) {
+    std::string text;
+    while (!(text = systemd_.next(0)).empty() && text.rfind(start, 0) != 0) continue;
+    return text;
+  }
+
+  const StopSignals signals_;
+  test::NotifySocket systemd_{folder_.file("notify")};
+  std::string log_;
+};
+
+// The light blinks with what the status says.
+TEST_F(ServiceLoopTest, ShowsThatItBootsWhileTheEngineIsMade) {
+  bool looked = false;
+  make({},
+       [&](const FrameFormat&, const CameraModel&,
+           const Pipeline::Alive&) -> Result<std::unique_ptr<Engine>> {
+         const std::int64_t begin_ns = os::monotonic_ns();
+         while (!looked && os::monotonic_ns() - begin_ns < 60'000'000'000) {
+           looked = service_->status().looked_ns > begin_ns;
+           std::this_thread::sleep_for(milliseconds(5));
+         }
+         EXPECT_EQ(service_->status().judgement.state, DeviceState::kBooting);
+         return Status::error(StatusCode::kInvalidInput, "fake: no such size");
+       });
+  EXPECT_EQ(run().code(), StatusCode::kInvalidInput);
+  EXPECT_TRUE(looked);
+}
+
+// The end of a recording waits for the disk, which may hang.
+TEST_F(ServiceLoopTest, ALongPressAsksForPowerOffBeforeTheRecordingEnds) {
+  make();
+  ASSERT_TRUE(pipeline_->start());
+  ASSERT_TRUE(start_recording(*pipeline_, recorder_));
+  setenv("RUNTIME_DIRECTORY", folder_.path().c_str(), 1);
+  ButtonControl(*pipeline_, recorder_).press(Press::kLong);
+  unsetenv("RUNTIME_DIRECTORY");
+  EXPECT_TRUE(std::filesystem::exists(folder_.file("poweroff")));
+  EXPECT_TRUE(recorder_.status().recording);
+}
+
+// A stream that fails once, then a camera that is away for some tries, then the end of the script.
+TEST_F(ServiceLoopTest, EveryStepOfTheLadderIsALineOfTheLogButAWaitOnlyOnce) {
+  camera_.on_dequeue = [](int call) {
+    if (call == 30) return Status::error(StatusCode::kIoError, "fake: EIO");
+    if (call == 60) return Status::error(StatusCode::kDeviceGone, "fake: unplugged");
+    return call < 90 ? Status::ok() : Status::error(StatusCode::kEndOfStream, "fake: the end");
+  };
+  camera_.on_configure = [](int call) {
+    return call == 0 || call > 3 ? Status::ok()
+                                 : Status::error(StatusCode::kNotFound, "fake: away");
+  };
+  PipelineOptions options;  // each step takes long enough for a busy machine to look
+  options.recovery.first_backoff = options.recovery.last_backoff = milliseconds(500);
+  make(options);
+  EXPECT_TRUE(run());
+  EXPECT_THAT(log_, HasSubstr("recovery: stream restart: fake: EIO\n"));
+  const std::size_t wait = log_.find("recovery: wait for device: fake: unplugged\n");
+  ASSERT_NE(wait, std::string::npos) << log_;
+  EXPECT_EQ(log_.find("recovery: ", wait + 1), std::string::npos) << log_;
+}
+
+TEST_F(ServiceLoopTest, APageThatDoesNotAnswerDegradesTheDevice) {
+  camera_.on_dequeue = [](int call) {
+    return call < 300 ? Status::ok() : Status::error(StatusCode::kEndOfStream, "fake: the end");
+  };
+  make();
+  Heartbeat page;
+  page.beat(os::monotonic_ns() - 20'000'000'000);
+  service_->watch_page(page);
+  EXPECT_TRUE(run());
+  EXPECT_THAT(log_, HasSubstr("degraded: thread page gives no sign of life"));
+}
+
+TEST_F(ServiceLoopTest, TheLastRungEndsTheProcessSoThatSystemdStartsAnother) {
+  camera_.on_dequeue = [](int) { return Status::error(StatusCode::kIoError, "fake: EIO"); };
+  PipelineOptions options;
+  options.recovery.give_up_after = milliseconds(0);
+  make(options);
+  const Status status = run();
+  EXPECT_EQ(report_failure(status), kExitFailure) << "which Restart=on-failure restarts";
+  EXPECT_THAT(log_, HasSubstr("fault: nothing brings the camera back: fake: EIO"));
+  EXPECT_THAT(message("STOPPING=1"), HasSubstr("restart: nothing brings the camera back"));
+}
+
+// It ends with the process, so it would be 0 for ever: systemd's NRestarts counts.
+TEST_F(ServiceLoopTest, TheStatusHasNoCountThatNobodyCanSee) {
+  make();
+  const auto status = status_json(*pipeline_, recorder_.status(), service_->status(), 0, 0);
+  EXPECT_TRUE(status["recovery"].contains("port_resets"));
+  EXPECT_FALSE(status["recovery"].contains("process_restarts"));
+}
+
+}  // namespace
+}  // namespace lcdm
