@@ -11,11 +11,16 @@
 #include <sys/timex.h>
 #include <system_error>
 #include <unistd.h>
+#include <utility>
 
 #include "app/address.h"
 #include "app/calibration_file.h"
 #include "app/common_options.h"
 #include "app/http_token.h"
+#include "drivers/gpio.h"
+#ifdef LCDM_LIBCAMERA
+#include "drivers/libcamera_camera.h"
+#endif
 #include "drivers/v4l2_device.h"
 #include "firmware/base/folder.h"
 
@@ -110,6 +115,36 @@ bool clock_is_synchronised() {
   return adjtimex(&state) != TIME_ERROR && (state.status & STA_UNSYNC) == 0;
 }
 
+std::vector<std::string> libcamera_cameras() {
+#ifdef LCDM_LIBCAMERA
+  return list_libcamera_cameras();
+#else
+  return {};
+#endif
+}
+
+// The first GPIO chip that the account may not open; empty: there is none such.
+std::string closed_gpio_chip(const std::string& root, const Account& account) {
+  const auto devices = list_folder(root + "/dev");
+  for (const fs::path& device : devices ? *devices : std::vector<fs::path>{}) {
+    const std::string name = device.filename().string();
+    if (name.rfind("gpiochip", 0) != 0) continue;
+    if (!account.may(device, R_OK | W_OK)) return "/dev/" + name;
+  }
+  return "";
+}
+
+// Asks for a line as an input, whatever it is for: that drives nothing.
+Finding check_line(const std::string& key, const std::string& name) {
+  const auto line = request_gpio_line(name, GpioUse::kInput);
+  if (line) return well("gpio", key + ": " + name + " is there");
+  const std::string text = key + ": " + line.status().text();
+  if (line.code() == StatusCode::kUnavailable) {
+    return warning("gpio", text + ": it may be lcdm itself, if it runs");
+  }
+  return warning("gpio", text + ": lcdm goes on without: set a name that gpioinfo lists, or none");
+}
+
 // A source that is no camera: its files must be there.
 Finding check_replayed(const std::string& source) {
   const std::size_t colon = source.find(':');
@@ -187,7 +222,7 @@ std::vector<Finding> examine(const Config& configured, const std::string& root) 
   }
   findings.push_back(check_clock(clock_is_synchronised()));
   findings.push_back(check_hardware_watchdog(root));
-  findings.push_back(check_gpio(root, account));
+  add(check_gpio(config.gpio, root, account));
   return findings;
 }
 
@@ -225,8 +260,21 @@ std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std
         warning("camera", "auto finds none and shows the rendered scene: plug one in"));
   } else if (!is_camera_source(source)) {
     findings.push_back(check_replayed(source));
+  } else if (source.rfind("libcamera:", 0) == 0) {
+    findings.push_back(check_libcamera(source, libcamera_cameras()));
   }
   return findings;
+}
+
+Finding check_libcamera(const std::string& source, const std::vector<std::string>& ids) {
+  std::string known;
+  for (const std::string& id : ids) {
+    if (source == "libcamera:" + id) return well("camera", source + ": libcamera knows it");
+    known += (known.empty() ? "" : ", ") + id;
+  }
+  return fault("camera", source + ": libcamera knows " +
+                             (ids.empty() ? "no camera (if this lcdm was built with it)" : known) +
+                             ": set camera.source to one that `lcdm probe` lists");
 }
 
 Finding check_rate(const std::vector<V4l2Mode>& modes, const CaptureRequest& request) {
@@ -371,20 +419,21 @@ Finding check_hardware_watchdog(const std::string& root) {
   return well("watchdog", identity + " is active");
 }
 
-Finding check_gpio(const std::string& root, const Account& account) {
-  std::string chips;
-  const auto devices = list_folder(root + "/dev");
-  for (const fs::path& device : devices ? *devices : std::vector<fs::path>{}) {
-    const std::string name = device.filename().string();
-    if (name.rfind("gpiochip", 0) != 0) continue;
-    if (!account.may(device, R_OK | W_OK)) {
-      return warning("gpio", "/dev/" + name + ": " + account.name +
-                                 " may not open it: add it to the group gpio");
-    }
-    chips += (chips.empty() ? "/dev/" : ", /dev/") + name;
+std::vector<Finding> check_gpio(const Config::Gpio& lines, const std::string& root,
+                                const Account& account) {
+  const std::pair<const char*, std::string> configured[] = {{"gpio.light", lines.light},
+                                                            {"gpio.button", lines.button},
+                                                            {"gpio.heartbeat", lines.heartbeat}};
+  const std::string closed = closed_gpio_chip(root, account);
+  std::vector<Finding> findings;
+  for (const auto& [key, name] : configured) {
+    if (name.empty()) continue;
+    findings.push_back(closed.empty() ? check_line(key, name)
+                                      : warning("gpio", closed + ": " + account.name +
+                                                            " may not open it for " + key +
+                                                            ": add it to the group gpio"));
   }
-  if (chips.empty()) return warning("gpio", "this machine has none: no lamps and no button");
-  return well("gpio", chips);
+  return findings;
 }
 
 }  // namespace lcdm

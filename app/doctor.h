@@ -36,6 +36,8 @@ std::vector<Finding> examine(const Config& config, const std::string& root);
 Finding check_service(const ServiceUnit& unit);
 std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std::string& source,
                                    const Account& account);
+// `ids`: the cameras that libcamera knows.
+Finding check_libcamera(const std::string& source, const std::vector<std::string>& ids);
 Finding check_rate(const std::vector<V4l2Mode>& modes, const CaptureRequest& request);
 Finding check_model(const Config& config, std::uint64_t& engine_bytes);
 Finding check_memory_lock(const std::string& root, const Account& account,
@@ -47,6 +49,8 @@ std::vector<Finding> check_files(const Config& config, const Account& account);
 Finding check_port(const std::string& listen, int port, bool is_only);
 Finding check_clock(bool synchronised);
 Finding check_hardware_watchdog(const std::string& root);
-Finding check_gpio(const std::string& root, const Account& account);
+// One for each configured line; none where none is configured.
+std::vector<Finding> check_gpio(const Config::Gpio& lines, const std::string& root,
+                                const Account& account);
 
 }  // namespace lcdm

@@ -87,6 +87,15 @@ TEST_F(Doctor, SeesACameraThatMayNotBeOpenedOrIsNotThere) {
   expect(check_cameras({}, "scene:3", kCaller)[0], Severity::kOk, "needs none");
 }
 
+TEST_F(Doctor, SeesACameraThatLibcameraDoesNotKnow) {
+  expect(check_libcamera("libcamera:A", {"B", "A"}), Severity::kOk, "knows it");
+  expect(check_libcamera("libcamera:C", {"B", "A"}), Severity::kFault, "knows B, A: set camera");
+  expect(check_libcamera("libcamera:C", {}), Severity::kFault, "knows no camera");
+  const auto findings = check_cameras({}, "libcamera:NOSUCH", kCaller);
+  ASSERT_EQ(findings.size(), 1U);
+  expect(findings[0], Severity::kFault, "libcamera:NOSUCH");
+}
+
 TEST_F(Doctor, SeesAUsbPortThatMayNotBeReset) {
   V4l2Node camera = usb_camera(480, 2);
   camera.usb = root_;
@@ -274,10 +283,25 @@ TEST_F(Doctor, SeesAServiceThatNobodyWatches) {
   expect(check(), Severity::kOk, "WatchdogSec=10");
 }
 
-TEST_F(Doctor, SeesGpioChips) {
-  expect(check_gpio(root_, kCaller), Severity::kWarning, "none");
+TEST_F(Doctor, SeesGpioLinesThatAreNotThere) {
+  EXPECT_TRUE(check_gpio({}, root_, kCaller).empty()) << "nobody asked for one";
+  Config::Gpio lines;
+  lines.light = "NO.SUCH";
+  lines.heartbeat = "NOR.THIS";
+  const auto findings = check_gpio(lines, root_, kCaller);
+  ASSERT_EQ(findings.size(), 2U);
+  expect(findings[0], Severity::kWarning, "gpio.light: gpio NO.SUCH");
+  expect(findings[0], Severity::kWarning, "set a name that gpioinfo lists, or none");
+  expect(findings[1], Severity::kWarning, "gpio.heartbeat: gpio NOR.THIS");
+}
+
+TEST_F(Doctor, SeesAGpioChipThatTheServiceMayNotOpen) {
   write("/dev/gpiochip0", "");
-  expect(check_gpio(root_, kCaller), Severity::kOk, "/dev/gpiochip0");
+  fs::permissions(root_ + "/dev/gpiochip0", fs::perms::owner_read | fs::perms::owner_write);
+  Config::Gpio lines;
+  lines.button = "PQ.05";
+  expect(check_gpio(lines, root_, stranger())[0], Severity::kWarning,
+         "/dev/gpiochip0: the service's account lcdm may not open it for gpio.button");
 }
 
 }  // namespace
