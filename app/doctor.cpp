@@ -16,7 +16,9 @@
 #include "app/address.h"
 #include "app/calibration_file.h"
 #include "app/common_options.h"
+#include "app/doctor_rate.h"
 #include "app/http_token.h"
+#include "app/source.h"
 #include "drivers/gpio.h"
 #ifdef LCDM_LIBCAMERA
 #include "drivers/libcamera_camera.h"
@@ -171,6 +173,36 @@ std::optional<Finding> check_file(const char* key, const std::string& path, cons
   return fault("files", read.text());
 }
 
+// What really comes from the camera: by a trial, or by the counters of the lcdm that holds it.
+Finding try_camera(const std::string& uri, const Config& config) {
+  const CaptureRequest request = capture_request(config);
+  const Result<OpenedSource> source = open_source(uri, Playback::kLive);
+  if (!source) return fault("rate", source.status().text());
+  Camera& camera = *source->camera;
+  const Result<float> measured = measure_rate(camera, request);
+  const bool held = measured.status().sys_errno() == EBUSY;
+  const float promised = camera.info().frames_per_second;
+  return check_arrivals(
+      held ? served_rate(config, uri) : measured,
+      promised > 0 ? std::min(promised, request.frames_per_second) : request.frames_per_second);
+}
+
+// Of the configured camera, where it is there: what its driver lists, and what comes.
+std::vector<Finding> check_rates(const Config& config, const std::vector<V4l2Node>& nodes) {
+  const std::string& source = config.camera.source;
+  if (source.rfind("libcamera:", 0) == 0) return {try_camera(source, config)};
+  const std::string node = configured_node(source, nodes);
+  std::vector<Finding> findings;
+  {
+    V4l2Device device;
+    if (node.empty() || !device.open(node)) return {};
+    const CaptureRequest request = capture_request(config);
+    findings.push_back(check_rate(list_modes(device, request), request));
+  }
+  findings.push_back(try_camera(source == "auto" ? "v4l2:" + node : source, config));
+  return findings;
+}
+
 // Who is judged; where the service is installed but its account is not, the caller.
 Account account_of(const ServiceUnit& unit, std::vector<Finding>& findings) {
   if (unit.file.empty()) return calling_account();
@@ -204,12 +236,7 @@ std::vector<Finding> examine(const Config& configured, const std::string& root) 
   };
   const std::vector<V4l2Node> nodes = list_v4l2_nodes();
   add(check_cameras(nodes, config.camera.source, account));
-  V4l2Device device;
-  const std::string node = configured_node(config.camera.source, nodes);
-  if (!node.empty() && device.open(node)) {
-    const CaptureRequest request = capture_request(config);
-    findings.push_back(check_rate(list_modes(device, request), request));
-  }
+  add(check_rates(config, nodes));
   std::uint64_t engine_bytes = 0;
   findings.push_back(check_model(config, engine_bytes));
   findings.push_back(check_memory_lock(root, account, engine_bytes));
@@ -298,6 +325,20 @@ Finding check_rate(const std::vector<V4l2Mode>& modes, const CaptureRequest& req
                                "or a lower camera.frames_per_second");
   }
   return well("rate", rate);
+}
+
+Finding check_arrivals(const Result<float>& measured, float wanted) {
+  if (!measured && measured.code() == StatusCode::kUnavailable) {
+    return well("rate", std::string("not measured: ") + measured.status().text());
+  }
+  if (!measured) return fault("rate", measured.status().text());
+  char text[64];
+  std::snprintf(text, sizeof(text), "%.1f frames/s come of %g", static_cast<double>(*measured),
+                static_cast<double>(wanted));
+  if (*measured >= 0.8F * wanted) return well("rate", text);
+  return warning("rate", std::string(text) +
+                             ": give it more light or a shorter camera.exposure_ms, a USB bus of "
+                             "its own, or a smaller camera.width and height");
 }
 
 Finding check_model(const Config& config, std::uint64_t& engine_bytes) {

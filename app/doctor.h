@@ -38,7 +38,10 @@ std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std
                                    const Account& account);
 // `ids`: the cameras that libcamera knows.
 Finding check_libcamera(const std::string& source, const std::vector<std::string>& ids);
+// What the driver lists.
 Finding check_rate(const std::vector<V4l2Mode>& modes, const CaptureRequest& request);
+// What really came, in frames/s; kUnavailable: it could not be measured.
+Finding check_arrivals(const Result<float>& measured, float wanted);
 Finding check_model(const Config& config, std::uint64_t& engine_bytes);
 Finding check_memory_lock(const std::string& root, const Account& account,
                           std::uint64_t engine_bytes);

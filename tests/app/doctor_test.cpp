@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <arpa/inet.h>
+#include <cerrno>
+#include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <gmock/gmock.h>
@@ -13,7 +15,12 @@
 #include <string>
 #include <sys/socket.h>
 #include <sys/stat.h>
+#include <thread>
 #include <unistd.h>
+
+#include "app/doctor_rate.h"
+#include "app/http_server.h"
+#include "tests/firmware_pipeline/fake_camera.h"
 
 namespace lcdm {
 namespace {
@@ -121,6 +128,63 @@ TEST_F(Doctor, SeesARateThatTheCameraCannotReach) {
   expect(check_rate({slow}, request), Severity::kWarning, "15 frames/s, 30 are wanted: set");
   expect(check_rate({silent}, request), Severity::kOk, "lists no rates");
   expect(check_rate({unknown}, request), Severity::kFault, "no format");
+}
+
+TEST_F(Doctor, SeesFramesThatDoNotComeAsOftenAsTheyShould) {
+  expect(check_arrivals(24.5F, 30), Severity::kOk, "24.5 frames/s come of 30");
+  expect(check_arrivals(15.1F, 30), Severity::kWarning, "15.1 frames/s come of 30: give it more");
+  expect(check_arrivals(Status::error(StatusCode::kTimeout, "no frame comes"), 30),
+         Severity::kFault, "no frame comes");
+  expect(check_arrivals(Status::error(StatusCode::kUnavailable, "another program holds it"), 30),
+         Severity::kOk, "not measured: another program holds it");
+}
+
+TEST_F(Doctor, CountsTheFramesThatComeInATrial) {
+  test::FakeCamera camera;
+  camera.on_dequeue = [](int) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    return Status::ok();
+  };
+  const Result<float> rate = measure_rate(camera, {});
+  ASSERT_TRUE(rate) << rate.status().text();
+  EXPECT_LT(*rate, 20) << "whatever it says of itself";
+  EXPECT_GT(*rate, 5);
+  EXPECT_FALSE(camera.running) << "it is free again";
+}
+
+TEST_F(Doctor, SaysWhyATrialGaveNoRate) {
+  test::FakeCamera silent;
+  silent.on_dequeue = [](int) { return Status::error(StatusCode::kTimeout, "no frame in time"); };
+  EXPECT_EQ(measure_rate(silent, {}).code(), StatusCode::kTimeout);
+  EXPECT_FALSE(silent.running);
+  test::FakeCamera held;
+  held.on_configure = [](int) { return Status::system(EBUSY, "held"); };
+  EXPECT_EQ(measure_rate(held, {}).status().sys_errno(), EBUSY);
+}
+
+// Ten frames and half a second more at each look.
+TEST_F(Doctor, AsksTheServiceThatHoldsTheCameraForItsRate) {
+  int looks = 0;
+  const auto serve = [&looks](HttpExchange& exchange) {
+    ++looks;
+    const std::string status = R"({"source": {"uri": "v4l2:any"}, "frames": {"captured": )" +
+                               std::to_string(10 * looks) + R"(}, "uptime_s": )" +
+                               std::to_string(0.5 * looks) + "}";
+    exchange.send_text(200, "application/json", status);
+  };
+  HttpOptions options;
+  options.listen = {"127.0.0.1"};
+  auto server = HttpServer::start(options, {{"/status.json", "GET", HttpStay::kShort, serve}});
+  ASSERT_TRUE(server) << server.status().text();
+  Config config;
+  config.http.port = (*server)->port();
+  const Result<float> rate = served_rate(config, "v4l2:any");
+  ASSERT_TRUE(rate) << rate.status().text();
+  EXPECT_FLOAT_EQ(*rate, 20);
+  EXPECT_EQ(served_rate(config, "v4l2:/dev/video7").code(), StatusCode::kUnavailable)
+      << "it has another camera";
+  (*server)->stop();
+  EXPECT_EQ(served_rate(config, "v4l2:any").code(), StatusCode::kUnavailable) << "nobody answers";
 }
 
 TEST_F(Doctor, SeesAModelThatIsMissing) {
