@@ -13,6 +13,7 @@
 #include <mutex>
 #include <poll.h>
 #include <string>
+#include <sys/stat.h>
 #include <umockdev.h>
 #include <unistd.h>
 #include <vector>
@@ -207,6 +208,15 @@ void FakeV4l2::change_source() {
 void FakeV4l2::announce(const char* action) {
   const std::string path = "/sys" + video_path(state_->behaviour.on_usb);
   umockdev_testbed_uevent(state_->testbed, path.c_str(), action);
+}
+
+void FakeV4l2::close_to_everybody() {
+  char* root = umockdev_testbed_get_root_dir(state_->testbed);
+  const std::string socket = root + (std::string("/ioctl") + kPath);
+  // The rest of the system stays visible, and umockdev connects also when it could not open.
+  LCDM_CHECK(chmod(root, 0755) == 0 && chmod(socket.c_str(), 0666) == 0);
+  g_free(root);
+  LCDM_CHECK(fchmod(state_->backing, 0) == 0);
 }
 
 int FakeV4l2::usb_resets() const {

@@ -88,6 +88,8 @@ class FakeV4l2 {
   // The kernel's news about the device: "add" or "remove". The node stays.
   void announce(const char* action);
   int usb_resets() const;
+  // From now on only the superuser may open the node.
+  void close_to_everybody();
 
   static constexpr const char* kUsbPath = "/dev/bus/usb/001/004";
 
