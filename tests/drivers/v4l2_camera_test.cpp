@@ -307,6 +307,23 @@ TEST_F(V4l2CameraTest, SetsWhatIsAskedForAndSaysWhatTheCameraHasNot) {
   EXPECT_EQ(device.control(V4L2_CID_POWER_LINE_FREQUENCY), V4L2_CID_POWER_LINE_FREQUENCY_50HZ);
   const std::string text = camera.info().description;
   EXPECT_NE(text.find("it cannot set gain, white balance"), std::string::npos) << text;
+  EXPECT_EQ(text.find("it sets"), std::string::npos) << text;
+}
+
+TEST_F(V4l2CameraTest, SaysWhatTheCameraMadeOfAControl) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.controls = {V4L2_CID_EXPOSURE_ABSOLUTE, V4L2_CID_GAIN,
+                        V4L2_CID_WHITE_BALANCE_TEMPERATURE};
+  behaviour.most_of_a_control = 301;
+  const FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  CaptureRequest request;
+  request.controls = {40, 300, 4000, 0};
+  ASSERT_TRUE(camera.configure(request));
+  const std::string text = camera.info().description;
+  EXPECT_NE(text.find("; it sets exposure to 30.1 ms, white balance to 301 K"), std::string::npos)
+      << text;
+  EXPECT_EQ(text.find("gain"), std::string::npos) << "that is what was asked for: " << text;
 }
 
 }  // namespace

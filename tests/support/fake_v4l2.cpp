@@ -295,9 +295,10 @@ int FakeV4l2::State::handle_mode(unsigned request, void* argument) {
       return 0;
     }
     case VIDIOC_S_CTRL: {
-      const auto& control = *static_cast<const v4l2_control*>(argument);
+      auto& control = *static_cast<v4l2_control*>(argument);
       const auto& known = behaviour.controls;
       if (std::find(known.begin(), known.end(), control.id) == known.end()) return EINVAL;
+      control.value = std::min(control.value, behaviour.most_of_a_control);
       controls[control.id] = control.value;
       return 0;
     }

@@ -53,6 +53,7 @@ class FakeV4l2 {
     std::uint32_t stamp_flags = V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC | V4L2_BUF_FLAG_TSTAMP_SRC_EOF;
     std::optional<timeval> stamp;         // of every frame; empty: the moment it is delivered
     std::vector<std::uint32_t> controls;  // that the camera has
+    int most_of_a_control = 1'000'000;    // larger values become this
     bool on_usb = false;  // as /dev/bus/usb/001/004, serial number F00D, USB 3.2 camera at 480 Mb/s
     std::uint32_t width = 64;
     std::uint32_t height = 48;
