@@ -1,4 +1,5 @@
 // What a V4L2 camera gives, against scripted kernels: formats, rates, stamps, controls, buffers.
+#include <cerrno>
 #include <chrono>
 #include <cstdint>
 #include <fcntl.h>
@@ -157,6 +158,20 @@ TEST_F(V4l2CameraTest, StreamsFromAMultiPlanarDriver) {
   }
 }
 
+TEST_F(V4l2CameraTest, ReadsAPictureThatBeginsBehindItsPlanesStart) {
+  FakeV4l2::Behaviour behaviour = multi_planar();
+  behaviour.data_offset = 96;
+  const FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  ASSERT_TRUE(camera.dequeue(milliseconds(500)));
+  const auto second = camera.dequeue(milliseconds(500));
+  ASSERT_TRUE(second) << second.status().text();
+  ASSERT_EQ(second->view.bytes, 64U * 48 * 3 / 2);
+  EXPECT_EQ(second->view.data[0], 1);
+  EXPECT_EQ(second->view.data[second->view.bytes - 1], 1);
+}
+
 TEST_F(V4l2CameraTest, AbsurdLengthsOfAPlaneNeverReachTheReader) {
   for (const Answer absurd : {Answer::kShortFrame, Answer::kHugeFrame}) {
     FakeV4l2::Behaviour behaviour = multi_planar();
@@ -208,6 +223,27 @@ TEST_F(V4l2CameraTest, SaysWhatItDoesAndAtWhichRate) {
   open_camera(camera);
   EXPECT_EQ(camera.info().frames_per_second, 15);
   EXPECT_EQ(camera.info().description, "fake camera, YUYV 64x48 at 15.0 frames/s");
+}
+
+TEST_F(V4l2CameraTest, AsksForTheRateThatIsWanted) {
+  const FakeV4l2 device({});
+  V4l2Camera camera(FakeV4l2::kPath);
+  CaptureRequest request;
+  request.frames_per_second = 12.5;
+  ASSERT_TRUE(camera.configure(request));
+  const auto period = device.period_asked();
+  ASSERT_TRUE(period);
+  EXPECT_FLOAT_EQ(static_cast<float>(period->denominator) / static_cast<float>(period->numerator),
+                  12.5);
+}
+
+TEST_F(V4l2CameraTest, WhereNoRateCanBeSetTheDriversOwnIsSaid) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.refuse = [](unsigned request) { return request == VIDIOC_S_PARM ? ENOTTY : 0; };
+  FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  EXPECT_EQ(camera.info().frames_per_second, 25);
 }
 
 TEST_F(V4l2CameraTest, TellsWhatItsStampsMean) {

@@ -24,6 +24,18 @@ TEST_F(V4l2CameraTest, AnotherSignalAtItsInputAsksForConfiguringAgain) {
   EXPECT_TRUE(camera.dequeue(milliseconds(500)));
 }
 
+TEST_F(V4l2CameraTest, ADriverWhoseSourceNeverChangesRefusesTheEventRightly) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.refuse = [](unsigned request) {
+    return request == VIDIOC_SUBSCRIBE_EVENT ? EINVAL : 0;
+  };
+  FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  device.change_source();
+  EXPECT_TRUE(camera.dequeue(milliseconds(500)));
+}
+
 TEST_F(V4l2CameraTest, AStreamThatStoppedStartsAgainAsItIs) {
   const FakeV4l2 device(
       answering([](int n) { return n == 2 ? Answer::kIoError : Answer::kFrame; }));

@@ -90,6 +90,15 @@ TEST_F(V4l2NodesTest, ACameraIsFoundByItsSerialOrItsName) {
   }
 }
 
+TEST_F(V4l2NodesTest, ALinkThatSurvivesReplugsOpensItsCamera) {
+  const FakeV4l2 device(on_usb_);
+  V4l2Camera camera(FakeV4l2::kLink);
+  const Status status = camera.configure({});
+  ASSERT_TRUE(status) << status.text();
+  EXPECT_EQ(camera.info().uri, std::string("v4l2:") + FakeV4l2::kLink) << "it stays what it was";
+  EXPECT_EQ(camera.info().usb, FakeV4l2::kUsbPath) << "the port behind the link is known";
+}
+
 TEST_F(V4l2NodesTest, ACameraThatIsNotThereIsNotFound) {
   const FakeV4l2 device(on_usb_);
   for (const char* selector : {"serial=BEEF", "name=fake", "serial="}) {
