@@ -54,11 +54,14 @@ void V4l2Camera::close_device() {
 }
 
 CameraInfo V4l2Camera::info() const {
+  char rate[32] = "an unknown rate";
+  if (frames_per_second_ > 0) {
+    std::snprintf(rate, sizeof(rate), "%.1f frames/s", static_cast<double>(frames_per_second_));
+  }
   char text[320];
-  std::snprintf(text, sizeof(text), "%.64s, %s %dx%d at %.1f frames/s%s%s%s",
-                device_.card().c_str(), to_string(format_.pixel), format_.width, format_.height,
-                static_cast<double>(frames_per_second_), reason_.empty() ? "" : ", ",
-                reason_.c_str(), otherwise_.c_str());
+  std::snprintf(text, sizeof(text), "%.64s, %s %dx%d at %s%s%s%s", device_.card().c_str(),
+                to_string(format_.pixel), format_.width, format_.height, rate,
+                reason_.empty() ? "" : ", ", reason_.c_str(), otherwise_.c_str());
   return {"v4l2:" + selector_, text, frames_per_second_, queue_.stamp(), usb_};
 }
 

@@ -244,6 +244,22 @@ TEST_F(V4l2CameraTest, WhereNoRateCanBeSetTheDriversOwnIsSaid) {
   V4l2Camera camera(FakeV4l2::kPath);
   open_camera(camera);
   EXPECT_EQ(camera.info().frames_per_second, 25);
+  behaviour.refuse = [](unsigned request) {
+    return request == VIDIOC_S_PARM || request == VIDIOC_G_PARM ? ENOTTY : 0;
+  };
+  device.set_behaviour(behaviour);
+  open_camera(camera);
+  EXPECT_EQ(camera.info().frames_per_second, 0);
+  EXPECT_EQ(camera.info().description, "fake camera, YUYV 64x48 at an unknown rate");
+}
+
+TEST_F(V4l2CameraTest, FindsAFormatAtTheEndOfALongList) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.raw_formats = 95;
+  const FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  EXPECT_EQ(camera.format().pixel, PixelFormat::kYuyv);
 }
 
 TEST_F(V4l2CameraTest, TellsWhatItsStampsMean) {
