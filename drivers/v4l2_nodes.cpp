@@ -64,6 +64,16 @@ std::string usb_node_in(const fs::path& folder) {
   return path;
 }
 
+// udev's name for the port that a node's camera is plugged into; the node where there is none.
+std::string port_link_of(const std::string& node) {
+  const auto links = list_folder("/dev/v4l/by-path");
+  for (const fs::path& link : links ? *links : std::vector<fs::path>{}) {
+    std::error_code error;
+    if (fs::canonical(link, error) == node) return link.string();
+  }
+  return node;
+}
+
 V4l2Node examine(const std::string& path) {
   V4l2Node node;
   node.path = path;
@@ -127,6 +137,18 @@ Result<std::string> find_v4l2_node(const std::string& selector) {
                        "v4l2:%.120s: no such camera: is it plugged in? `lcdm probe` lists those "
                        "that are",
                        selector.c_str());
+}
+
+std::string lasting_selector(const V4l2Node& node, const std::vector<V4l2Node>& all) {
+  const auto is_alone = [&](const std::string V4l2Node::*what) {
+    const auto same = [&](const V4l2Node& other) {
+      return other.usable && other.*what == node.*what;
+    };
+    return !(node.*what).empty() && std::count_if(all.begin(), all.end(), same) == 1;
+  };
+  if (is_alone(&V4l2Node::serial)) return "serial=" + node.serial;
+  if (is_alone(&V4l2Node::card)) return "name=" + node.card;
+  return port_link_of(node.path);
 }
 
 std::string usb_node_of(const std::string& video_node) {

@@ -32,6 +32,10 @@ std::vector<V4l2Node> list_v4l2_nodes();
 // with EACCES: there is one that this user may not open. A path is not looked at.
 Result<std::string> find_v4l2_node(const std::string& selector);
 
+// What means `node` also after replugging and restarting, while `all` are there: its serial, its
+// name, or, where another camera has the same, the link that udev makes to its port.
+std::string lasting_selector(const V4l2Node& node, const std::vector<V4l2Node>& all);
+
 // The node of the USB device behind a video node (or a link to one); empty: it is not on USB.
 std::string usb_node_of(const std::string& video_node);
 

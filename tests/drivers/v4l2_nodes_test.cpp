@@ -99,6 +99,24 @@ TEST_F(V4l2NodesTest, ALinkThatSurvivesReplugsOpensItsCamera) {
   EXPECT_EQ(camera.info().usb, FakeV4l2::kUsbPath) << "the port behind the link is known";
 }
 
+TEST_F(V4l2NodesTest, WhatLastsIsWhatNoOtherCameraHas) {
+  const FakeV4l2 device(on_usb_);
+  const V4l2Node ours = list_v4l2_nodes().at(0);
+  EXPECT_EQ(lasting_selector(ours, {ours}), "serial=F00D");
+
+  V4l2Node other = ours;
+  other.path = "/dev/video2";
+  other.card = "another camera";
+  EXPECT_EQ(lasting_selector(ours, {ours, other}), "name=fake camera") << "serials that are shared";
+  other.card = ours.card;
+  EXPECT_EQ(lasting_selector(ours, {ours, other}), FakeV4l2::kLink);
+  EXPECT_EQ(lasting_selector(other, {ours, other}), "/dev/video2") << "udev made no link to it";
+
+  V4l2Node metadata = other;
+  metadata.usable = false;
+  EXPECT_EQ(lasting_selector(ours, {ours, metadata}), "serial=F00D") << "its own second node";
+}
+
 TEST_F(V4l2NodesTest, ACameraThatIsNotThereIsNotFound) {
   const FakeV4l2 device(on_usb_);
   for (const char* selector : {"serial=BEEF", "name=fake", "serial="}) {

@@ -80,7 +80,7 @@ class FakeV4l2 {
   FakeV4l2& operator=(const FakeV4l2&) = delete;
 
   static constexpr const char* kPath = "/dev/video0";
-  static constexpr const char* kLink = "/dev/v4l/by-id/usb-fake-video-index0";
+  static constexpr const char* kLink = "/dev/v4l/by-path/usb-0:1:1.0-video-index0";
 
   // From now on behaves differently; the node stays.
   void set_behaviour(const Behaviour& behaviour);
