@@ -190,7 +190,10 @@ Finding try_camera(const std::string& uri, const Config& config) {
 // Of the configured camera, where it is there: what its driver lists, and what comes.
 std::vector<Finding> check_rates(const Config& config, const std::vector<V4l2Node>& nodes) {
   const std::string& source = config.camera.source;
-  if (source.rfind("libcamera:", 0) == 0) return {try_camera(source, config)};
+  if (source.rfind("libcamera:", 0) == 0) {
+    const bool known = check_libcamera(source, libcamera_cameras()).severity == Severity::kOk;
+    return known ? std::vector{try_camera(source, config)} : std::vector<Finding>{};
+  }
   const std::string node = configured_node(source, nodes);
   std::vector<Finding> findings;
   {
