@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "app/config.h"
+#include "app/doctor_account.h"
 #include "drivers/v4l2_formats.h"
 #include "drivers/v4l2_nodes.h"
 
@@ -30,18 +31,29 @@ struct Finding {
 // preparing an engine.
 std::vector<Finding> examine(const Config& config, const std::string& root);
 
-// The single looks, in the order in which `examine` takes them.
-std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std::string& source);
+// The single looks, in the order in which `examine` takes them. What may be opened is judged for
+// `account`, whom those texts name.
+Finding check_service(const ServiceUnit& unit);
+std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std::string& source,
+                                   const Account& account);
+// `ids`: the cameras that libcamera knows.
+Finding check_libcamera(const std::string& source, const std::vector<std::string>& ids);
+// What the driver lists.
 Finding check_rate(const std::vector<V4l2Mode>& modes, const CaptureRequest& request);
+// What really came, in frames/s; kUnavailable: it could not be measured.
+Finding check_arrivals(const Result<float>& measured, float wanted);
 Finding check_model(const Config& config, std::uint64_t& engine_bytes);
-Finding check_memory_lock(const std::string& root, std::uint64_t limit_bytes,
+Finding check_memory_lock(const std::string& root, const Account& account,
                           std::uint64_t engine_bytes);
-Finding check_disk(const std::string& directory, int keep_free_megabytes);
+Finding check_disk(const std::string& directory, int keep_free_megabytes, const Account& account);
+// The configured files that cannot be used.
+std::vector<Finding> check_files(const Config& config, const Account& account);
 // `is_only`: lcdm listens nowhere else.
 Finding check_port(const std::string& listen, int port, bool is_only);
 Finding check_clock(bool synchronised);
 Finding check_hardware_watchdog(const std::string& root);
-Finding check_service(const std::string& root);
-Finding check_gpio(const std::string& root);
+// One for each configured line; none where none is configured.
+std::vector<Finding> check_gpio(const Config::Gpio& lines, const std::string& root,
+                                const Account& account);
 
 }  // namespace lcdm

@@ -12,25 +12,38 @@
 namespace lcdm {
 namespace {
 
-constexpr StampSource kStamp = StampSource::kStartOfExposure;
+// A frame that waited longer for us cannot be: by then the watchdog has ended the process.
+constexpr std::int64_t kOldestNs = 10'000'000'000;
 
-// libcamera stamps on CLOCK_BOOTTIME, which goes on while the machine sleeps.
-std::int64_t monotonic_from_boottime(std::int64_t boottime_ns) {
-  timespec now{};
-  clock_gettime(CLOCK_BOOTTIME, &now);
-  const std::int64_t boottime_now =
-      static_cast<std::int64_t>(now.tv_sec) * 1'000'000'000 + now.tv_nsec;
-  return boottime_ns - (boottime_now - os::monotonic_ns());
+Clocks read_clocks() {
+  timespec boottime{};
+  clock_gettime(CLOCK_BOOTTIME, &boottime);
+  return {os::monotonic_ns(),
+          static_cast<std::int64_t>(boottime.tv_sec) * 1'000'000'000 + boottime.tv_nsec};
 }
 
 }  // namespace
+
+// libcamera promises CLOCK_BOOTTIME; some pipeline handlers hand on the kernel's CLOCK_MONOTONIC.
+// Where the machine has slept the two lie apart by that, and the wrong reading lies in the future
+// or longer ago.
+std::optional<std::int64_t> monotonic_stamp(std::int64_t stamp_ns, const Clocks& now) {
+  if (stamp_ns <= 0) return std::nullopt;
+  std::optional<std::int64_t> nearest;
+  for (const std::int64_t now_ns : {now.monotonic_ns, now.boottime_ns}) {
+    if (stamp_ns > now_ns || now_ns - stamp_ns > kOldestNs) continue;
+    const std::int64_t read_ns = now.monotonic_ns - (now_ns - stamp_ns);
+    nearest = std::max(nearest.value_or(read_ns), read_ns);
+  }
+  return nearest;
+}
 
 CameraInfo LibcameraSession::info() const {
   char text[240];
   std::snprintf(text, sizeof(text), "%.80s, %s %dx%d%s%s", id_.c_str(), to_string(format.pixel),
                 format.width, format.height, refused_.empty() ? "" : "; it cannot set ",
                 refused_.c_str());
-  return {"libcamera:" + id_, text, frames_per_second_, kStamp};
+  return {"libcamera:" + id_, text, frames_per_second_, stamp_};
 }
 
 Status LibcameraSession::start() {
@@ -80,14 +93,16 @@ Result<CapturedFrame> LibcameraSession::dequeue(std::chrono::milliseconds timeou
     return Status::error(StatusCode::kCorrupt, "libcamera:%s: damaged frame (%zu bytes)",
                          id_.c_str(), done.bytes);
   }
+  // A camera that was wrong once is not asked again: the stamps of one stream mean one thing.
+  if (!done.stamp_ns) stamp_ = StampSource::kArrival;
   CapturedFrame frame;
   frame.index = done.index;
-  frame.stamp = kStamp;
+  frame.stamp = stamp_;
   frame.view.format = format;
   frame.view.data = static_cast<const std::uint8_t*>(slot.memory) + slot.offset;
   frame.view.bytes = done.bytes;
   frame.view.meta.sequence = sequence;
-  frame.view.meta.sensor_ns = std::min(done.stamp_ns, os::monotonic_ns());
+  frame.view.meta.sensor_ns = stamp_ == StampSource::kArrival ? done.arrival_ns : *done.stamp_ns;
   frame.view.meta.unix_ns = frame.view.meta.sensor_ns + os::unix_offset_ns();
   return frame;
 }
@@ -116,8 +131,10 @@ void LibcameraSession::on_complete(libcamera::Request* request) {
   done.whole = metadata.status == libcamera::FrameMetadata::FrameSuccess;
   done.count = metadata.sequence;
   const auto sensor = request->metadata().get(libcamera::controls::SensorTimestamp);
+  const Clocks now = read_clocks();
+  done.arrival_ns = now.monotonic_ns;
   done.stamp_ns =
-      monotonic_from_boottime(sensor ? *sensor : static_cast<std::int64_t>(metadata.timestamp));
+      monotonic_stamp(sensor ? *sensor : static_cast<std::int64_t>(metadata.timestamp), now);
   for (const auto& plane : metadata.planes()) done.bytes += plane.bytesused;
   const std::lock_guard lock(mutex_);
   ring_[(ring_begin_ + ring_size_) % ring_.size()] = done;

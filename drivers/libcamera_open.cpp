@@ -79,6 +79,7 @@ Status LibcameraSession::open(const CaptureRequest& request) {
     return failure(result, "another program holds the camera");
   }
   gone_ = false;
+  stamp_ = StampSource::kStartOfExposure;
   camera_->requestCompleted.connect(this, &LibcameraSession::on_complete);
   camera_->disconnected.connect(this, &LibcameraSession::on_disconnect);
   LCDM_RETURN_IF_ERROR(choose_format(request));
@@ -184,6 +185,16 @@ Status LibcameraSession::map_slot(Slot& slot) const {
   return Status::ok();
 }
 
+// Pipeline handlers that know no bound leave it zero, or of no type.
+std::int64_t period_within(const libcamera::ControlInfo& durations, std::int64_t wanted_us) {
+  const auto bound = [wanted_us](const libcamera::ControlValue& value) {
+    if (value.type() != libcamera::ControlTypeInteger64 || value.isArray()) return wanted_us;
+    const auto duration_us = value.get<std::int64_t>();
+    return duration_us > 0 ? duration_us : wanted_us;
+  };
+  return std::max(std::min(wanted_us, bound(durations.max())), bound(durations.min()));
+}
+
 void LibcameraSession::set_controls(const CaptureRequest& request) {
   namespace controls = libcamera::controls;
   const ImageControls& wanted = request.controls;
@@ -199,10 +210,13 @@ void LibcameraSession::set_controls(const CaptureRequest& request) {
     if (asked != nullptr) refused_ += (refused_.empty() ? "" : ", ") + std::string(asked);
     return false;
   };
-  const auto period_us = static_cast<std::int64_t>(std::lround(1e6F / request.frames_per_second));
-  const std::array<std::int64_t, 2> period = {period_us, period_us};
-  if (set(controls::FrameDurationLimits, libcamera::Span<const std::int64_t, 2>(period), nullptr)) {
-    frames_per_second_ = request.frames_per_second;
+  const auto durations = camera_->controls().find(controls::FrameDurationLimits.id());
+  if (durations != camera_->controls().end()) {
+    const std::int64_t period_us =
+        period_within(durations->second, std::lround(1e6F / request.frames_per_second));
+    const std::array<std::int64_t, 2> period = {period_us, period_us};
+    controls_.set(controls::FrameDurationLimits, libcamera::Span<const std::int64_t, 2>(period));
+    frames_per_second_ = 1e6F / static_cast<float>(period_us);
   }
   const bool manual = wanted.exposure_ms > 0 || wanted.gain >= 0;
   set(controls::AeEnable, !manual, nullptr);

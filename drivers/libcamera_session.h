@@ -31,6 +31,20 @@ struct PictureMemory {
 std::optional<PictureMemory> picture_memory(
     const std::vector<libcamera::FrameBuffer::Plane>& planes, const FrameFormat& format);
 
+// The period, in microseconds, that a camera with these frame durations keeps when `wanted_us` is
+// asked for. Pure.
+std::int64_t period_within(const libcamera::ControlInfo& durations, std::int64_t wanted_us);
+
+// Both clocks, read at one moment.
+struct Clocks {
+  std::int64_t monotonic_ns = 0;
+  std::int64_t boottime_ns = 0;  // as monotonic, and goes on while the machine sleeps
+};
+
+// The moment on CLOCK_MONOTONIC that the stamp of a frame means which is there `now`. Empty: none
+// that can be. Pure.
+std::optional<std::int64_t> monotonic_stamp(std::int64_t stamp_ns, const Clocks& now);
+
 // Threads: as Camera, and libcamera's own, which calls the two on_ functions.
 class LibcameraSession {
  public:
@@ -65,7 +79,8 @@ class LibcameraSession {
     int index = -1;
     bool whole = false;
     std::uint32_t count = 0;
-    std::int64_t stamp_ns = 0;  // CLOCK_MONOTONIC
+    std::int64_t arrival_ns = 0;           // CLOCK_MONOTONIC
+    std::optional<std::int64_t> stamp_ns;  // as that; empty: it can be none
     std::size_t bytes = 0;
   };
 
@@ -89,6 +104,8 @@ class LibcameraSession {
   std::string refused_;          // controls that the camera does not have
   float frames_per_second_ = 0;  // 0: it does not say
   SequenceCounter sequence_;
+  // What the stamps mean: kArrival from the first useless one to the next opening.
+  StampSource stamp_ = StampSource::kStartOfExposure;
   bool running_ = false;
 
   std::mutex mutex_;  // guards what follows, which libcamera's thread writes

@@ -36,7 +36,7 @@ Status V4l2Camera::open_and_configure(const CaptureRequest& request) {
   format_ = *format;
   frame_bytes_ = format_.pixel == PixelFormat::kMjpeg ? 1 : picture_bytes(format_);
   reason_ = choice->reason;
-  refused_ = apply_controls(device_, request.controls);
+  otherwise_ = apply_controls(device_, request.controls);
   frames_per_second_ = queue_.set_rate(request.frames_per_second);
   LCDM_RETURN_IF_ERROR(queue_.map());
   // Drivers whose source never changes refuse this, rightly.
@@ -54,11 +54,14 @@ void V4l2Camera::close_device() {
 }
 
 CameraInfo V4l2Camera::info() const {
-  char text[240];
-  std::snprintf(text, sizeof(text), "%.64s, %s %dx%d at %.1f frames/s%s%s%s%s",
-                device_.card().c_str(), to_string(format_.pixel), format_.width, format_.height,
-                static_cast<double>(frames_per_second_), reason_.empty() ? "" : ", ",
-                reason_.c_str(), refused_.empty() ? "" : "; it cannot set ", refused_.c_str());
+  char rate[32] = "an unknown rate";
+  if (frames_per_second_ > 0) {
+    std::snprintf(rate, sizeof(rate), "%.1f frames/s", static_cast<double>(frames_per_second_));
+  }
+  char text[320];
+  std::snprintf(text, sizeof(text), "%.64s, %s %dx%d at %s%s%s%s", device_.card().c_str(),
+                to_string(format_.pixel), format_.width, format_.height, rate,
+                reason_.empty() ? "" : ", ", reason_.c_str(), otherwise_.c_str());
   return {"v4l2:" + selector_, text, frames_per_second_, queue_.stamp(), usb_};
 }
 

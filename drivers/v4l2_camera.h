@@ -46,7 +46,7 @@ class V4l2Camera final : public Camera {
   CameraModel model_;
   float frames_per_second_ = 0;  // 0: the driver does not say
   std::string reason_;           // why this format
-  std::string refused_;          // controls that the camera would not set
+  std::string otherwise_;        // what became of controls, where not what was asked for
   std::string usb_;
   SequenceCounter sequence_;
 };

@@ -8,8 +8,9 @@
 
 namespace lcdm {
 
-// Sets what is asked for, and automatic where nothing is; a rate never halves in low light. Names
-// what was asked for and the camera would not do ("gain, exposure"); empty when all is well.
+// Sets what is asked for, and automatic where nothing is; a rate never halves in low light. Says
+// what was asked for and came out otherwise ("; it cannot set gain; it sets exposure to 30 ms");
+// empty when all is well.
 std::string apply_controls(const V4l2Device& device, const ImageControls& controls);
 
 }  // namespace lcdm

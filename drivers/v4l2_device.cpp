@@ -23,6 +23,19 @@ const char* capability_fault(std::uint32_t capabilities) {
   return nullptr;
 }
 
+// What mends a refusal, where its errno tells.
+const char* cure_of(int sys_errno) {
+  switch (sys_errno) {
+    case EBUSY:
+      return " (another program holds the camera: close it)";
+    case ENOSPC:
+      return " (no room on its USB bus: a smaller [camera] width and height, a lower "
+             "frames_per_second, or a port of another bus)";
+    default:
+      return "";
+  }
+}
+
 }  // namespace
 
 Status V4l2Device::open(const std::string& path) {
@@ -83,7 +96,7 @@ Status V4l2Device::failure(int sys_errno, const char* what) const {
   if (sys_errno == ENODEV || sys_errno == ENXIO) {
     return Status::error(StatusCode::kDeviceGone, "v4l2:%s: the camera is gone", path_.c_str());
   }
-  return Status::system(sys_errno, "v4l2:%s: %s", path_.c_str(), what);
+  return Status::system(sys_errno, "v4l2:%s: %s%s", path_.c_str(), what, cure_of(sys_errno));
 }
 
 }  // namespace lcdm

@@ -38,7 +38,8 @@ class V4l2Device {
   // 0, or the errno.
   int control(unsigned long request, void* argument) const;
 
-  // What `sys_errno` of a request means: kDeviceGone where the device left, else kIoError.
+  // What `sys_errno` of a request means: kDeviceGone where the device left, else kIoError, with the
+  // cure where it tells one.
   Status failure(int sys_errno, const char* what) const;
 
  private:

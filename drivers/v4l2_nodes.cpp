@@ -1,6 +1,7 @@
 #include "drivers/v4l2_nodes.h"
 
 #include <algorithm>
+#include <cerrno>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -63,6 +64,16 @@ std::string usb_node_in(const fs::path& folder) {
   return path;
 }
 
+// udev's name for the port that a node's camera is plugged into; the node where there is none.
+std::string port_link_of(const std::string& node) {
+  const auto links = list_folder("/dev/v4l/by-path");
+  for (const fs::path& link : links ? *links : std::vector<fs::path>{}) {
+    std::error_code error;
+    if (fs::canonical(link, error) == node) return link.string();
+  }
+  return node;
+}
+
 V4l2Node examine(const std::string& path) {
   V4l2Node node;
   node.path = path;
@@ -73,6 +84,9 @@ V4l2Node examine(const std::string& path) {
   node.bus = device.bus();
   if (!opened) {
     node.reason = opened.text();
+    node.closed = opened.sys_errno() == EACCES;
+    if (node.closed)
+      node.card = attribute("/sys/class/video4linux" / fs::path(path).filename(), "name");
   } else {
     const std::vector<V4l2Mode> modes = list_modes(device, {});
     node.usable = choose_mode(modes, {}).has_value();
@@ -101,14 +115,40 @@ Result<std::string> find_v4l2_node(const std::string& selector) {
   const bool by_name = selector.rfind("name=", 0) == 0;
   if (!any && !by_serial && !by_name) return selector;
   const std::string wanted = any ? "" : selector.substr(selector.find('=') + 1);
+  std::string reasons;
+  std::string closed;
   for (const V4l2Node& node : list_v4l2_nodes()) {
-    if (!node.usable) continue;
-    if (any || wanted == (by_serial ? node.serial : node.card)) return node.path;
+    if (!any && wanted != (by_serial ? node.serial : node.card)) continue;
+    if (node.usable) return node.path;
+    if (node.closed) closed = node.path;
+    reasons += (reasons.empty() ? "" : "; ") + node.reason;
+  }
+  // One that is there and locked is no absence: waiting for it would be for ever.
+  if (!closed.empty()) {
+    return Status::system(EACCES,
+                          "v4l2:%.120s: %s may not be opened: add this user to the group video",
+                          selector.c_str(), closed.c_str());
+  }
+  if (!reasons.empty()) {
+    return Status::error(StatusCode::kNotFound, "v4l2:%.80s: no usable camera: %s",
+                         selector.c_str(), reasons.c_str());
   }
   return Status::error(StatusCode::kNotFound,
                        "v4l2:%.120s: no such camera: is it plugged in? `lcdm probe` lists those "
                        "that are",
                        selector.c_str());
+}
+
+std::string lasting_selector(const V4l2Node& node, const std::vector<V4l2Node>& all) {
+  const auto is_alone = [&](const std::string V4l2Node::*what) {
+    const auto same = [&](const V4l2Node& other) {
+      return other.usable && other.*what == node.*what;
+    };
+    return !(node.*what).empty() && std::count_if(all.begin(), all.end(), same) == 1;
+  };
+  if (is_alone(&V4l2Node::serial)) return "serial=" + node.serial;
+  if (is_alone(&V4l2Node::card)) return "name=" + node.card;
+  return port_link_of(node.path);
 }
 
 std::string usb_node_of(const std::string& video_node) {

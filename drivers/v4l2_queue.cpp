@@ -97,7 +97,7 @@ std::optional<std::int64_t> believable_ns(const timeval& time, std::int64_t now_
 Result<FrameFormat> V4l2Queue::set_format(const V4l2Choice& choice) {
   v4l2_format format = wanted_format(device_, choice);
   if (const int fault = device_.control(VIDIOC_S_FMT, &format); fault != 0) {
-    return device_.failure(fault, "cannot set a format (another program may hold the camera)");
+    return device_.failure(fault, "cannot set a format");
   }
   const Answer answer = answer_of(device_, format);
   if (!makes_sense(answer, choice)) {
@@ -134,7 +134,7 @@ Status V4l2Queue::map() {
   request.count = std::max(
       kLeastBuffers, static_cast<std::uint32_t>(std::clamp(least.value, 1, 16)) + kBuffersOutside);
   if (const int fault = device_.control(VIDIOC_REQBUFS, &request); fault != 0) {
-    return device_.failure(fault, "cannot reserve buffers (another program may hold the camera)");
+    return device_.failure(fault, "cannot reserve buffers");
   }
   // The driver may give fewer. Two is the least with which it can fill one while we hold one.
   if (request.count < 2 || request.count > kMostBuffers) {
@@ -188,7 +188,7 @@ Status V4l2Queue::start() {
   for (int i = 0; i < size(); ++i) LCDM_RETURN_IF_ERROR(enqueue(i));
   std::uint32_t type = device_.queue();
   if (const int fault = device_.control(VIDIOC_STREAMON, &type); fault != 0) {
-    return device_.failure(fault, "cannot start streaming (another program may hold the camera)");
+    return device_.failure(fault, "cannot start streaming");
   }
   return Status::ok();
 }

@@ -1,6 +1,7 @@
 // lcdm calibrate: a checkerboard before the camera, or pictures of one, become a calibration file.
 #include <chrono>
 #include <cmath>
+#include <cstdint>
 #include <cstdio>
 #include <ctime>
 #include <memory>
@@ -24,6 +25,7 @@ using std::chrono::milliseconds;
 using Verdict = BoardCalibrator::Verdict;
 
 constexpr milliseconds kDequeueTimeout{200};
+constexpr std::int64_t kSilenceNs = 3'000'000'000;
 constexpr int kLiveViews = 15;  // a live camera may as well give more than the fewest
 
 struct CalibrateOptions {
@@ -75,6 +77,7 @@ class Session {
     while (!signals.wait_for(milliseconds(0)) && !enough()) {
       const Result<CapturedFrame> frame = camera_.dequeue(kDequeueTimeout);
       if (frame) {
+        heard();
         const Status status = look(frame->view);
         LCDM_RETURN_IF_ERROR(camera_.requeue(frame->index));
         LCDM_RETURN_IF_ERROR(status);
@@ -82,7 +85,9 @@ class Session {
         break;
       } else if (frame.code() == StatusCode::kCorrupt) {
         std::printf("%s\n", frame.status().text());
-      } else if (frame.code() != StatusCode::kTimeout) {
+      } else if (frame.code() == StatusCode::kTimeout) {
+        note_silence(frame.status());
+      } else {
         return frame.status();
       }
       std::fflush(stdout);
@@ -94,6 +99,18 @@ class Session {
   bool enough() const {
     return live_ && calibrator_.views() >= kLiveViews &&
            calibrator_.coverage() >= BoardCalibrator::kLeastCoverage;
+  }
+
+  void heard() {
+    last_frame_ns_ = os::monotonic_ns();
+    silence_told_ = false;
+  }
+
+  // Once for each silence: who waves a board before a dead camera should know.
+  void note_silence(const Status& status) {
+    if (silence_told_ || os::monotonic_ns() - last_frame_ns_ < kSilenceNs) return;
+    silence_told_ = true;
+    std::printf("%s: nothing for 3 s: `lcdm doctor` may know why; Ctrl-C ends\n", status.text());
   }
 
   Status look(const FrameView& frame) {
@@ -127,6 +144,8 @@ class Session {
   FrameReader reader_;
   RgbPicture picture_;
   std::optional<Verdict> last_;
+  std::int64_t last_frame_ns_ = os::monotonic_ns();
+  bool silence_told_ = false;
 };
 
 std::string utc_now() {

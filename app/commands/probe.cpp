@@ -84,7 +84,7 @@ void print_mode(const V4l2Mode& mode) {
               pixel_format_of(mode.fourcc) ? "" : " (not read by lcdm)");
 }
 
-void print_node(const Probed& probed) {
+void print_node(const Probed& probed, const std::vector<V4l2Node>& all) {
   const V4l2Node& node = probed.node;
   if (!node.usable) {
     std::printf("%s\n    not usable: %s\n", node.path.c_str(), node.reason.c_str());
@@ -96,9 +96,7 @@ void print_node(const Probed& probed) {
     std::printf(", USB at %g Mb/s (made for USB %g)", static_cast<double>(node.usb_mbps),
                 static_cast<double>(node.usb_version));
   }
-  std::printf("\n    --source 'v4l2:%s'\n", node.serial.empty()
-                                                ? ("name=" + node.card).c_str()
-                                                : ("serial=" + node.serial).c_str());
+  std::printf("\n    --source 'v4l2:%s'\n", lasting_selector(node, all).c_str());
   for (const V4l2Mode& mode : probed.modes) print_mode(mode);
   if (probed.shares_buffers.value_or(false)) std::printf("    buffers can be had as dma-bufs\n");
 }
@@ -136,7 +134,9 @@ int probe(bool as_json) {
     std::printf("%s\n", json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace).c_str());
     return kExitOk;
   }
-  for (const Probed& probed : nodes) print_node(probed);
+  std::vector<V4l2Node> all;
+  for (const Probed& probed : nodes) all.push_back(probed.node);
+  for (const Probed& probed : nodes) print_node(probed, all);
   for (const std::string& id : ids) std::printf("--source 'libcamera:%s'\n", id.c_str());
   if (nodes.empty() && ids.empty()) std::printf("no camera found (no /dev/video*)\n");
   return kExitOk;

@@ -1,10 +1,12 @@
 // What `auto` makes of the nodes it finds: the first that really delivers, else every rejected node
-// with its reason.
+// with its reason. And what commands say to people who have such a node.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <signal.h>
 #include <string>
 
 #include "app/source.h"
+#include "tests/app/program.h"
 #include "tests/support/fake_v4l2.h"
 
 namespace lcdm {
@@ -56,6 +58,16 @@ TEST_F(AutoSourceTest, ANodeThatIsNoCameraIsRejectedWithItsReason) {
   behaviour.capabilities = V4L2_CAP_META_CAPTURE | V4L2_CAP_STREAMING;
   const FakeV4l2 device(behaviour);
   EXPECT_THAT(found(), AllOf(HasSubstr("no usable camera"), HasSubstr("/dev/video0")));
+}
+
+TEST_F(AutoSourceTest, CalibratingWithASilentCameraSaysThatNothingComes) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.answer = [](int) { return FakeV4l2::Answer::kNothing; };
+  const FakeV4l2 device(behaviour);
+  test::Program program(LCDM_PROGRAM, {"calibrate", "--source", "v4l2:/dev/video0"});
+  EXPECT_TRUE(program.wait_for("no frame in time: nothing for 3 s")) << program.text();
+  kill(program.pid(), SIGINT);
+  EXPECT_NE(program.wait(), -1) << "it ends: " << program.text();
 }
 
 TEST_F(AutoSourceTest, WithoutAnyNodeItSaysSo) {

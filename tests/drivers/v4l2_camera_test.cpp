@@ -1,4 +1,5 @@
 // What a V4L2 camera gives, against scripted kernels: formats, rates, stamps, controls, buffers.
+#include <cerrno>
 #include <chrono>
 #include <cstdint>
 #include <fcntl.h>
@@ -157,6 +158,20 @@ TEST_F(V4l2CameraTest, StreamsFromAMultiPlanarDriver) {
   }
 }
 
+TEST_F(V4l2CameraTest, ReadsAPictureThatBeginsBehindItsPlanesStart) {
+  FakeV4l2::Behaviour behaviour = multi_planar();
+  behaviour.data_offset = 96;
+  const FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  ASSERT_TRUE(camera.dequeue(milliseconds(500)));
+  const auto second = camera.dequeue(milliseconds(500));
+  ASSERT_TRUE(second) << second.status().text();
+  ASSERT_EQ(second->view.bytes, 64U * 48 * 3 / 2);
+  EXPECT_EQ(second->view.data[0], 1);
+  EXPECT_EQ(second->view.data[second->view.bytes - 1], 1);
+}
+
 TEST_F(V4l2CameraTest, AbsurdLengthsOfAPlaneNeverReachTheReader) {
   for (const Answer absurd : {Answer::kShortFrame, Answer::kHugeFrame}) {
     FakeV4l2::Behaviour behaviour = multi_planar();
@@ -208,6 +223,43 @@ TEST_F(V4l2CameraTest, SaysWhatItDoesAndAtWhichRate) {
   open_camera(camera);
   EXPECT_EQ(camera.info().frames_per_second, 15);
   EXPECT_EQ(camera.info().description, "fake camera, YUYV 64x48 at 15.0 frames/s");
+}
+
+TEST_F(V4l2CameraTest, AsksForTheRateThatIsWanted) {
+  const FakeV4l2 device({});
+  V4l2Camera camera(FakeV4l2::kPath);
+  CaptureRequest request;
+  request.frames_per_second = 12.5;
+  ASSERT_TRUE(camera.configure(request));
+  const auto period = device.period_asked();
+  ASSERT_TRUE(period);
+  EXPECT_FLOAT_EQ(static_cast<float>(period->denominator) / static_cast<float>(period->numerator),
+                  12.5);
+}
+
+TEST_F(V4l2CameraTest, WhereNoRateCanBeSetTheDriversOwnIsSaid) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.refuse = [](unsigned request) { return request == VIDIOC_S_PARM ? ENOTTY : 0; };
+  FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  EXPECT_EQ(camera.info().frames_per_second, 25);
+  behaviour.refuse = [](unsigned request) {
+    return request == VIDIOC_S_PARM || request == VIDIOC_G_PARM ? ENOTTY : 0;
+  };
+  device.set_behaviour(behaviour);
+  open_camera(camera);
+  EXPECT_EQ(camera.info().frames_per_second, 0);
+  EXPECT_EQ(camera.info().description, "fake camera, YUYV 64x48 at an unknown rate");
+}
+
+TEST_F(V4l2CameraTest, FindsAFormatAtTheEndOfALongList) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.raw_formats = 95;
+  const FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  EXPECT_EQ(camera.format().pixel, PixelFormat::kYuyv);
 }
 
 TEST_F(V4l2CameraTest, TellsWhatItsStampsMean) {
@@ -307,6 +359,23 @@ TEST_F(V4l2CameraTest, SetsWhatIsAskedForAndSaysWhatTheCameraHasNot) {
   EXPECT_EQ(device.control(V4L2_CID_POWER_LINE_FREQUENCY), V4L2_CID_POWER_LINE_FREQUENCY_50HZ);
   const std::string text = camera.info().description;
   EXPECT_NE(text.find("it cannot set gain, white balance"), std::string::npos) << text;
+  EXPECT_EQ(text.find("it sets"), std::string::npos) << text;
+}
+
+TEST_F(V4l2CameraTest, SaysWhatTheCameraMadeOfAControl) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.controls = {V4L2_CID_EXPOSURE_ABSOLUTE, V4L2_CID_GAIN,
+                        V4L2_CID_WHITE_BALANCE_TEMPERATURE};
+  behaviour.most_of_a_control = 301;
+  const FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  CaptureRequest request;
+  request.controls = {40, 300, 4000, 0};
+  ASSERT_TRUE(camera.configure(request));
+  const std::string text = camera.info().description;
+  EXPECT_NE(text.find("; it sets exposure to 30.1 ms, white balance to 301 K"), std::string::npos)
+      << text;
+  EXPECT_EQ(text.find("gain"), std::string::npos) << "that is what was asked for: " << text;
 }
 
 }  // namespace

@@ -1,6 +1,8 @@
 // What a V4L2 camera survives: every answer a real kernel was seen to give, and some that only a
 // broken one would.
+#include <cerrno>
 #include <cstdint>
+#include <cstring>
 #include <limits>
 #include <string>
 
@@ -19,6 +21,18 @@ TEST_F(V4l2CameraTest, AnotherSignalAtItsInputAsksForConfiguringAgain) {
   EXPECT_EQ(camera.dequeue(milliseconds(500)).code(), StatusCode::kUnavailable);
   camera.stop();
   open_camera(camera);
+  EXPECT_TRUE(camera.dequeue(milliseconds(500)));
+}
+
+TEST_F(V4l2CameraTest, ADriverWhoseSourceNeverChangesRefusesTheEventRightly) {
+  FakeV4l2::Behaviour behaviour;
+  behaviour.refuse = [](unsigned request) {
+    return request == VIDIOC_SUBSCRIBE_EVENT ? EINVAL : 0;
+  };
+  FakeV4l2 device(behaviour);
+  V4l2Camera camera(FakeV4l2::kPath);
+  open_camera(camera);
+  device.change_source();
   EXPECT_TRUE(camera.dequeue(milliseconds(500)));
 }
 
@@ -147,6 +161,31 @@ TEST_F(V4l2CameraTest, TheSequenceGoesOnWhereTheDriversCounterWraps) {
     const auto frame = camera.dequeue(milliseconds(500));
     ASSERT_TRUE(frame);
     EXPECT_EQ(frame->view.meta.sequence, i);
+  }
+}
+
+TEST_F(V4l2CameraTest, ARefusalNamesTheCureThatItsErrnoTells) {
+  struct Case {
+    int fault;
+    const char* cure;
+  };
+  const Case cases[] = {{EBUSY, "another program holds the camera"},
+                        {ENOSPC, "a smaller [camera] width and height"},
+                        {EIO, ""}};
+  for (const unsigned request : {VIDIOC_S_FMT, VIDIOC_REQBUFS, VIDIOC_STREAMON}) {
+    for (const Case& each : cases) {
+      FakeV4l2::Behaviour behaviour;
+      behaviour.refuse = [&](unsigned asked) { return asked == request ? each.fault : 0; };
+      const FakeV4l2 device(behaviour);
+      V4l2Camera camera(FakeV4l2::kPath);
+      Status status = camera.configure({});
+      if (status) status = camera.start();
+      EXPECT_EQ(status.sys_errno(), each.fault);
+      const std::string text = status.text();
+      EXPECT_NE(text.find(each.cure), std::string::npos) << text;
+      EXPECT_NE(text.find(std::strerror(each.fault)), std::string::npos) << "whole: " << text;
+      EXPECT_EQ(text.find("program") != std::string::npos, each.fault == EBUSY) << text;
+    }
   }
 }
 

@@ -1,8 +1,10 @@
 // Which nodes there are and which of them a text means, in a system that does not exist.
 #include "drivers/v4l2_nodes.h"
 
+#include <cerrno>
 #include <gtest/gtest.h>
 #include <string>
+#include <sys/fsuid.h>
 
 #include "drivers/v4l2_camera.h"
 #include "tests/support/fake_v4l2.h"
@@ -11,6 +13,18 @@ namespace lcdm {
 namespace {
 
 using test::FakeV4l2;
+
+// While it lives, files are opened as by anybody, also where the tests run as root.
+class NoSuperuser {
+ public:
+  NoSuperuser() : before_(setfsuid(65'534)) {}
+  ~NoSuperuser() { setfsuid(static_cast<uid_t>(before_)); }
+  NoSuperuser(const NoSuperuser&) = delete;
+  NoSuperuser& operator=(const NoSuperuser&) = delete;
+
+ private:
+  const int before_;
+};
 
 class V4l2NodesTest : public ::testing::Test {
  protected:
@@ -76,6 +90,33 @@ TEST_F(V4l2NodesTest, ACameraIsFoundByItsSerialOrItsName) {
   }
 }
 
+TEST_F(V4l2NodesTest, ALinkThatSurvivesReplugsOpensItsCamera) {
+  const FakeV4l2 device(on_usb_);
+  V4l2Camera camera(FakeV4l2::kLink);
+  const Status status = camera.configure({});
+  ASSERT_TRUE(status) << status.text();
+  EXPECT_EQ(camera.info().uri, std::string("v4l2:") + FakeV4l2::kLink) << "it stays what it was";
+  EXPECT_EQ(camera.info().usb, FakeV4l2::kUsbPath) << "the port behind the link is known";
+}
+
+TEST_F(V4l2NodesTest, WhatLastsIsWhatNoOtherCameraHas) {
+  const FakeV4l2 device(on_usb_);
+  const V4l2Node ours = list_v4l2_nodes().at(0);
+  EXPECT_EQ(lasting_selector(ours, {ours}), "serial=F00D");
+
+  V4l2Node other = ours;
+  other.path = "/dev/video2";
+  other.card = "another camera";
+  EXPECT_EQ(lasting_selector(ours, {ours, other}), "name=fake camera") << "serials that are shared";
+  other.card = ours.card;
+  EXPECT_EQ(lasting_selector(ours, {ours, other}), FakeV4l2::kLink);
+  EXPECT_EQ(lasting_selector(other, {ours, other}), "/dev/video2") << "udev made no link to it";
+
+  V4l2Node metadata = other;
+  metadata.usable = false;
+  EXPECT_EQ(lasting_selector(ours, {ours, metadata}), "serial=F00D") << "its own second node";
+}
+
 TEST_F(V4l2NodesTest, ACameraThatIsNotThereIsNotFound) {
   const FakeV4l2 device(on_usb_);
   for (const char* selector : {"serial=BEEF", "name=fake", "serial="}) {
@@ -85,13 +126,27 @@ TEST_F(V4l2NodesTest, ACameraThatIsNotThereIsNotFound) {
   }
 }
 
+TEST_F(V4l2NodesTest, ACameraThatMayNotBeOpenedIsNotAbsent) {
+  FakeV4l2 device(on_usb_);
+  device.close_to_everybody();
+  const NoSuperuser here;
+  for (const char* selector : {"any", "serial=F00D", "name=fake"}) {
+    const Status status = find_v4l2_node(selector).status();
+    EXPECT_EQ(status.sys_errno(), EACCES) << selector << ": " << status.text();
+    EXPECT_NE(std::string(status.text()).find("group video"), std::string::npos) << status.text();
+  }
+  EXPECT_EQ(find_v4l2_node("serial=BEEF").code(), StatusCode::kNotFound) << "another camera";
+}
+
 TEST_F(V4l2NodesTest, WithoutAnyUsableNodeThereIsNothingToTake) {
   EXPECT_EQ(find_v4l2_node("any").code(), StatusCode::kNotFound) << "no node at all";
   FakeV4l2::Behaviour behaviour;
   behaviour.capabilities = V4L2_CAP_META_CAPTURE | V4L2_CAP_STREAMING;
   FakeV4l2 device(behaviour);
   V4l2Camera camera("any");
-  EXPECT_EQ(camera.configure({}).code(), StatusCode::kNotFound) << "one that captures nothing";
+  const Status none = camera.configure({});
+  EXPECT_EQ(none.code(), StatusCode::kNotFound) << "one that captures nothing";
+  EXPECT_NE(std::string(none.text()).find("captures no video"), std::string::npos) << none.text();
   device.set_behaviour({});
   const Status status = camera.configure({});
   EXPECT_TRUE(status) << "looked for again: " << status.text();

@@ -8,11 +8,13 @@
 #include <ctime>
 #include <deque>
 #include <fcntl.h>
+#include <filesystem>
 #include <linux/usbdevice_fs.h>
 #include <map>
 #include <mutex>
 #include <poll.h>
 #include <string>
+#include <sys/stat.h>
 #include <umockdev.h>
 #include <unistd.h>
 #include <vector>
@@ -52,8 +54,12 @@ std::uint32_t image_bytes(const FakeV4l2::Behaviour& behaviour) {
   return stride * behaviour.height * (chroma_rows ? 3 : 2) / 2;
 }
 
+std::uint32_t buffer_bytes(const FakeV4l2::Behaviour& behaviour) {
+  return behaviour.data_offset + image_bytes(behaviour);
+}
+
 std::uint32_t buffer_stride(const FakeV4l2::Behaviour& behaviour) {
-  return (image_bytes(behaviour) + kPage - 1) / kPage * kPage;
+  return (buffer_bytes(behaviour) + kPage - 1) / kPage * kPage;
 }
 
 }  // namespace
@@ -68,6 +74,8 @@ struct FakeV4l2::State {
   std::uint32_t sequence = 0;
   int requests = 0;
   std::map<std::uint32_t, int> controls;
+  std::optional<v4l2_fract> period_asked;
+  bool subscribed = false;
   bool event_pending = false;
   int usb_resets = 0;
   int backing = -1;
@@ -146,6 +154,12 @@ std::string device_description(bool on_usb) {
   return text + "\n";
 }
 
+// As udev makes them.
+void make_link(const std::string& link) {
+  std::filesystem::create_directories(std::filesystem::path(link).parent_path());
+  std::filesystem::create_symlink("../../video0", link);
+}
+
 }  // namespace
 
 bool umockdev_active() {
@@ -164,6 +178,7 @@ FakeV4l2::FakeV4l2(const Behaviour& behaviour) : state_(std::make_unique<State>(
       state_->testbed, device_description(behaviour.on_usb).c_str(), &error));
   char* root = umockdev_testbed_get_root_dir(state_->testbed);
   const std::string file = std::string(root) + kPath;
+  make_link(std::string(root) + kLink);
   g_free(root);
   state_->backing = open(file.c_str(), O_RDWR | O_CLOEXEC);
   LCDM_CHECK(state_->backing >= 0);
@@ -171,12 +186,14 @@ FakeV4l2::FakeV4l2(const Behaviour& behaviour) : state_(std::make_unique<State>(
   state_->handler = UMOCKDEV_IOCTL_BASE(g_object_new(umockdev_ioctl_base_get_type(), nullptr));
   g_signal_connect(state_->handler, "handle-ioctl", G_CALLBACK(on_ioctl), nullptr);
   LCDM_CHECK(umockdev_testbed_attach_ioctl(state_->testbed, kPath, state_->handler, &error));
+  LCDM_CHECK(umockdev_testbed_attach_ioctl(state_->testbed, kLink, state_->handler, &error));
   if (!behaviour.on_usb) return;
   LCDM_CHECK(umockdev_testbed_attach_ioctl(state_->testbed, kUsbPath, state_->handler, &error));
 }
 
 FakeV4l2::~FakeV4l2() {
   umockdev_testbed_detach_ioctl(state_->testbed, kPath, nullptr);
+  umockdev_testbed_detach_ioctl(state_->testbed, kLink, nullptr);
   g_object_unref(state_->handler);
   g_object_unref(state_->testbed);
   close(state_->backing);
@@ -199,14 +216,28 @@ std::optional<int> FakeV4l2::control(std::uint32_t id) const {
   return found == state_->controls.end() ? std::nullopt : std::optional(found->second);
 }
 
+std::optional<v4l2_fract> FakeV4l2::period_asked() const {
+  const std::lock_guard lock(state_->mutex);
+  return state_->period_asked;
+}
+
 void FakeV4l2::change_source() {
   const std::lock_guard lock(state_->mutex);
-  state_->event_pending = true;
+  state_->event_pending = state_->subscribed;
 }
 
 void FakeV4l2::announce(const char* action) {
   const std::string path = "/sys" + video_path(state_->behaviour.on_usb);
   umockdev_testbed_uevent(state_->testbed, path.c_str(), action);
+}
+
+void FakeV4l2::close_to_everybody() {
+  char* root = umockdev_testbed_get_root_dir(state_->testbed);
+  const std::string socket = root + (std::string("/ioctl") + kPath);
+  // The rest of the system stays visible, and umockdev connects also when it could not open.
+  LCDM_CHECK(chmod(root, 0755) == 0 && chmod(socket.c_str(), 0666) == 0);
+  g_free(root);
+  LCDM_CHECK(fchmod(state_->backing, 0) == 0);
 }
 
 int FakeV4l2::usb_resets() const {
@@ -253,8 +284,9 @@ int FakeV4l2::State::handle_mode(unsigned request, void* argument) {
     }
     case VIDIOC_ENUM_FMT: {
       auto& format = *static_cast<v4l2_fmtdesc*>(argument);
-      if (format.index != 0) return EINVAL;
-      format.pixelformat = behaviour.fourcc;
+      if (format.index > behaviour.raw_formats) return EINVAL;
+      const bool ours = format.index == behaviour.raw_formats;
+      format.pixelformat = ours ? behaviour.fourcc : V4L2_PIX_FMT_SRGGB10;
       return 0;
     }
     case VIDIOC_ENUM_FRAMESIZES: {
@@ -279,15 +311,17 @@ int FakeV4l2::State::handle_mode(unsigned request, void* argument) {
     }
     case VIDIOC_S_FMT:
       return set_format(*static_cast<v4l2_format*>(argument));
-    case VIDIOC_S_PARM: {
-      auto& period = static_cast<v4l2_streamparm*>(argument)->parm.capture.timeperframe;
-      period = {1, behaviour.rate};
+    case VIDIOC_S_PARM:
+      period_asked = static_cast<v4l2_streamparm*>(argument)->parm.capture.timeperframe;
+      [[fallthrough]];
+    case VIDIOC_G_PARM:
+      static_cast<v4l2_streamparm*>(argument)->parm.capture.timeperframe = {1, behaviour.rate};
       return 0;
-    }
     case VIDIOC_S_CTRL: {
-      const auto& control = *static_cast<const v4l2_control*>(argument);
+      auto& control = *static_cast<v4l2_control*>(argument);
       const auto& known = behaviour.controls;
       if (std::find(known.begin(), known.end(), control.id) == known.end()) return EINVAL;
+      control.value = std::min(control.value, behaviour.most_of_a_control);
       controls[control.id] = control.value;
       return 0;
     }
@@ -341,11 +375,11 @@ int FakeV4l2::State::handle(unsigned request, void* argument, v4l2_plane* planes
       const std::uint32_t offset = buffer.index * buffer_stride(behaviour);
       buffer.flags = behaviour.stamp_flags;
       if (planes != nullptr) {
-        planes->length = image_bytes(behaviour);
+        planes->length = buffer_bytes(behaviour);
         planes->m.mem_offset = offset;
         return 0;
       }
-      buffer.length = image_bytes(behaviour);
+      buffer.length = buffer_bytes(behaviour);
       buffer.m.offset = offset;
       return 0;
     }
@@ -358,7 +392,9 @@ int FakeV4l2::State::handle(unsigned request, void* argument, v4l2_plane* planes
     case VIDIOC_DQBUF:
       return dequeue(*static_cast<v4l2_buffer*>(argument), planes);
     case VIDIOC_SUBSCRIBE_EVENT:
-      return 0;
+      subscribed =
+          static_cast<const v4l2_event_subscription*>(argument)->type == V4L2_EVENT_SOURCE_CHANGE;
+      return subscribed ? 0 : EINVAL;
     case VIDIOC_DQEVENT:
       if (!event_pending) return ENOENT;
       event_pending = false;
@@ -389,12 +425,14 @@ int FakeV4l2::State::dequeue(v4l2_buffer& buffer, v4l2_plane* planes) {
   buffer.index = delivered;
   const std::vector<std::uint8_t> picture = picture_of(sequence);
   const auto offset = static_cast<off_t>(buffer.index) * buffer_stride(behaviour);
-  if (pwrite(backing, picture.data(), picture.size(), offset) < 0) return EIO;
-  auto bytes = static_cast<std::uint32_t>(picture.size());
+  if (pwrite(backing, picture.data(), picture.size(), offset + behaviour.data_offset) < 0) {
+    return EIO;
+  }
+  auto bytes = static_cast<std::uint32_t>(behaviour.data_offset + picture.size());
   if (answer == Answer::kShortFrame) bytes = 0;
   if (answer == Answer::kHugeFrame) bytes = 0x7FFFFFFF;
   (planes != nullptr ? planes->bytesused : buffer.bytesused) = bytes;
-  if (planes != nullptr) planes->data_offset = 0;
+  if (planes != nullptr) planes->data_offset = behaviour.data_offset;
   if (answer == Answer::kWildIndex) buffer.index = 1000;
   buffer.flags = behaviour.stamp_flags;
   if (answer == Answer::kErrorFlag) buffer.flags |= V4L2_BUF_FLAG_ERROR;

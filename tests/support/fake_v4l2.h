@@ -46,13 +46,16 @@ class FakeV4l2 {
   };
   struct Behaviour {
     std::uint32_t fourcc = V4L2_PIX_FMT_YUYV;
-    std::vector<Size> sizes;     // empty: the driver lists none
-    std::optional<Range> range;  // in place of `sizes`
-    std::uint32_t planes = 1;    // of memory, that a multi-planar driver uses
-    std::uint32_t rate = 25;     // that it makes of every rate asked for
+    std::uint32_t raw_formats = 0;  // listed before that one, which we do not read
+    std::vector<Size> sizes;        // empty: the driver lists none
+    std::optional<Range> range;     // in place of `sizes`
+    std::uint32_t planes = 1;       // of memory, that a multi-planar driver uses
+    std::uint32_t data_offset = 0;  // bytes before the picture in a multi-planar driver's buffer
+    std::uint32_t rate = 25;        // that it makes of every rate asked for
     std::uint32_t stamp_flags = V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC | V4L2_BUF_FLAG_TSTAMP_SRC_EOF;
     std::optional<timeval> stamp;         // of every frame; empty: the moment it is delivered
     std::vector<std::uint32_t> controls;  // that the camera has
+    int most_of_a_control = 1'000'000;    // larger values become this
     bool on_usb = false;  // as /dev/bus/usb/001/004, serial number F00D, USB 3.2 camera at 480 Mb/s
     std::uint32_t width = 64;
     std::uint32_t height = 48;
@@ -70,24 +73,29 @@ class FakeV4l2 {
     std::function<int(unsigned)> refuse = [](unsigned) { return 0; };
   };
 
-  // Makes /dev/video0 appear in this process.
+  // Makes /dev/video0 appear in this process, and kLink to it.
   explicit FakeV4l2(const Behaviour& behaviour);
   ~FakeV4l2();
   FakeV4l2(const FakeV4l2&) = delete;
   FakeV4l2& operator=(const FakeV4l2&) = delete;
 
   static constexpr const char* kPath = "/dev/video0";
+  static constexpr const char* kLink = "/dev/v4l/by-path/usb-0:1:1.0-video-index0";
 
   // From now on behaves differently; the node stays.
   void set_behaviour(const Behaviour& behaviour);
   int buffers_with_driver() const;
   // The value a control was last set to; empty: never.
   std::optional<int> control(std::uint32_t id) const;
-  // The signal at the camera's input changes: an event is pending.
+  // The period in seconds that was last asked for; empty: never.
+  std::optional<v4l2_fract> period_asked() const;
+  // The signal at the camera's input changes: an event is pending for those who subscribed to it.
   void change_source();
   // The kernel's news about the device: "add" or "remove". The node stays.
   void announce(const char* action);
   int usb_resets() const;
+  // From now on only the superuser may open the node.
+  void close_to_everybody();
 
   static constexpr const char* kUsbPath = "/dev/bus/usb/001/004";
 

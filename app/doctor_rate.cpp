@@ -1,0 +1,117 @@
+#include "app/doctor_rate.h"
+
+#include <chrono>
+#include <civetweb.h>
+#include <cstdint>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <thread>
+
+#include "firmware/base/os.h"
+
+namespace lcdm {
+namespace {
+
+constexpr std::int64_t kSettleNs = 500'000'000;  // the first frames wait for the exposure
+constexpr std::int64_t kTrialNs = 1'500'000'000;
+constexpr std::chrono::seconds kCountTime{1};
+constexpr int kAnswerMs = 2000;
+
+struct Taken {
+  int frames = 0;
+  std::int64_t last_ns = 0;  // when the last came
+};
+
+// Takes frames until `end_ns`.
+Result<Taken> take_frames(Camera& camera, std::int64_t end_ns) {
+  Taken taken;
+  while (os::monotonic_ns() < end_ns) {
+    const auto frame = camera.dequeue(std::chrono::milliseconds(100));
+    if (frame) {
+      LCDM_RETURN_IF_ERROR(camera.requeue(frame->index));
+      ++taken.frames;
+      taken.last_ns = os::monotonic_ns();
+    } else if (frame.code() != StatusCode::kTimeout && frame.code() != StatusCode::kCorrupt) {
+      return frame.status();
+    }
+  }
+  return taken;
+}
+
+// From the last frame of the settling to the last of the trial: whole periods.
+Result<float> rate_of_stream(Camera& camera) {
+  const std::int64_t settled_ns = os::monotonic_ns() + kSettleNs;
+  const Result<Taken> before = take_frames(camera, settled_ns);
+  if (!before) return before.status();
+  const Result<Taken> trial = take_frames(camera, settled_ns + kTrialNs);
+  if (!trial) return trial.status();
+  if (trial->frames == 0) {
+    return Status::error(StatusCode::kTimeout,
+                         "no frame comes: is its lens, cable or signal well?");
+  }
+  const std::int64_t begin_ns = before->frames > 0 ? before->last_ns : settled_ns;
+  return static_cast<float>(trial->frames) * 1e9F / static_cast<float>(trial->last_ns - begin_ns);
+}
+
+// What /status.json says now; empty where nothing, or nothing of that kind, listens.
+std::optional<nlohmann::json> status_at(const std::string& host, int port) {
+  char fault[100];
+  mg_connection* server = mg_connect_client(host.c_str(), port, 0, fault, sizeof(fault));
+  if (server == nullptr) return std::nullopt;
+  mg_printf(server, "GET /status.json HTTP/1.0\r\nHost: %s\r\n\r\n", host.c_str());
+  std::string body;
+  char part[4096];
+  int got = mg_get_response(server, fault, sizeof(fault), kAnswerMs) < 0 ? 0 : 1;
+  while (got > 0 && (got = mg_read(server, part, sizeof(part))) > 0) {
+    body.append(part, static_cast<std::size_t>(got));
+  }
+  mg_close_connection(server);
+  nlohmann::json json = nlohmann::json::parse(body, nullptr, false);
+  return json.is_object() ? std::optional(std::move(json)) : std::nullopt;
+}
+
+// What a status says of the camera `uri`; empty: it shows something else.
+struct Count {
+  double frames = 0;
+  double seconds = 0;
+};
+std::optional<Count> count_in(const nlohmann::json& status, const std::string& uri) {
+  const auto at = [&status](const char* path) {
+    const nlohmann::json::json_pointer pointer(path);
+    return status.contains(pointer) ? status.at(pointer) : nlohmann::json();
+  };
+  const nlohmann::json frames = at("/frames/captured");
+  const nlohmann::json seconds = at("/uptime_s");
+  if (at("/source/uri") != uri || !frames.is_number() || !seconds.is_number()) return std::nullopt;
+  return Count{frames.get<double>(), seconds.get<double>()};
+}
+
+}  // namespace
+
+Result<float> measure_rate(Camera& camera, const CaptureRequest& request) {
+  LCDM_RETURN_IF_ERROR(camera.configure(request));
+  const Status started = camera.start();
+  const Result<float> rate = started ? rate_of_stream(camera) : Result<float>(started);
+  camera.stop();
+  return rate;
+}
+
+Result<float> served_rate(const Config& config, const std::string& uri) {
+  for (const std::string& address : listen_addresses(config.http.listen)) {
+    const std::string host = address == "0.0.0.0" ? "127.0.0.1" : address;
+    const auto first = status_at(host, config.http.port);
+    if (!first) continue;
+    std::this_thread::sleep_for(kCountTime);
+    const auto second = status_at(host, config.http.port);
+    const auto begin = count_in(*first, uri);
+    const auto end = second ? count_in(*second, uri) : std::nullopt;
+    if (!begin || !end || end->seconds <= begin->seconds) continue;
+    return static_cast<float>((end->frames - begin->frames) / (end->seconds - begin->seconds));
+  }
+  return Status::error(StatusCode::kUnavailable,
+                       "another program holds %.120s, and no lcdm that answers on http.port: close "
+                       "it, then ask again",
+                       uri.c_str());
+}
+
+}  // namespace lcdm
