@@ -90,6 +90,11 @@ build_board() {
   cmake --preset release -B build/gcc-11 -DCMAKE_CXX_COMPILER=g++-11 >/dev/null &&
     cmake --build build/gcc-11
 }
+# The same without what may be missing there.
+build_bare() {
+  cmake --preset release -B build/gcc-11-bare -DCMAKE_CXX_COMPILER=g++-11 -DLCDM_LIBCAMERA=OFF \
+    -DLCDM_GPIO=OFF >/dev/null && cmake --build build/gcc-11-bare
+}
 
 # What depends on the processor, for 64-bit Arm under QEMU.
 arm64_programs=(kernel_tests precision_tests engine_reference_tests network_tests engine_tests)
@@ -122,6 +127,7 @@ if $all; then
   stage 'thread sanitizer tests' run_tests tsan -LE browser
   stage 'clang-tidy' check_tidy
   stage 'g++-11 build' build_board
+  stage 'g++-11 build, bare' build_bare
   stage 'arm64 libraries' tests/arm64/sysroot.sh
   stage 'arm64 build' build_arm64
   stage 'arm64 tests under QEMU' run_arm64

@@ -30,7 +30,7 @@ const char* cure_of(int sys_errno) {
       return " (another program holds the camera: close it)";
     case ENOSPC:
       return " (no room on its USB bus: a smaller [camera] width and height, a lower "
-             "frames_per_second, or a port of another bus)";
+             "frames_per_second, format = \"MJPEG\", or a port of another bus)";
     default:
       return "";
   }
