@@ -180,7 +180,7 @@ reload_camera() {
 several_planes() {
   reload_camera multiplanar=2 || return
   on_guest v4l2-ctl -d /dev/video0 -D | grep -q 'Video Capture Multiplanar' || return
-  every_format
+  status .source.description
 }
 
 # As when a camera is plugged in again before its old number is free: the shipped source takes the

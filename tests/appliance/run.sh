@@ -65,9 +65,10 @@ check 'stamps: those that can be' stamps_are_judged
 check 'buffers as dma-bufs' buffers_are_shared
 check 'camera by its place and its name' selected_by_place_and_name
 check 'gain from the configuration' controls_are_set
-check 'every format, one plane' every_format
-check 'every format, multi-planar' several_planes
+check 'multi-planar camera' several_planes
+if $all; then check 'every format, multi-planar' every_format; fi
 check 'camera under another number' another_number
+if $all; then check 'every format, one plane' every_format; fi
 check 'control from outside is off' control_is_refused
 check 'control from outside needs the token' control_needs_the_token
 check 'doctor' doctor_finds_no_fault
