@@ -19,6 +19,9 @@ void CommonOptions::add_to(CLI::App& command) {
   command.add_option("--set", assignments, "One value, as section.key=value; may be repeated")
       ->type_name("KEY=VALUE")
       ->allow_extra_args(false);
+}
+
+void CommonOptions::add_model_to(CLI::App& command) {
   command.add_option("--model", model, "Weights (default: the released ones)")->type_name("FILE");
 }
 

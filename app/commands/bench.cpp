@@ -219,6 +219,7 @@ void add_bench_command(CLI::App& program, int& exit_code) {
       ->excludes(json)
       ->excludes(profile);
   options->common.add_to(*command);
+  options->common.add_model_to(*command);
   command->callback([options, &exit_code] { exit_code = bench(*options); });
 }
 

@@ -56,6 +56,7 @@ void add_doctor_command(CLI::App& program, int& exit_code) {
       "come");
   command->add_flag("--json", options->json, "As JSON");
   options->common.add_to(*command);
+  options->common.add_model_to(*command);
   command->callback([options, &exit_code] { exit_code = doctor(options->common, options->json); });
 }
 

@@ -251,6 +251,7 @@ void add_infer_command(CLI::App& program, int& exit_code) {
   command->add_flag("--float", options->as_float, "Also NAME.tiff: 32-bit float metres");
   command->add_flag("--colour", options->as_colour, "Also NAME.jpg: colours, near is warm");
   options->common.add_to(*command);
+  options->common.add_model_to(*command);
   command->callback([options, &exit_code] { exit_code = infer(*options); });
 }
 

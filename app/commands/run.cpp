@@ -118,6 +118,7 @@ void add_run_command(CLI::App& program, int& exit_code) {
       ->type_name("ADDR");
   command->add_option("--port", options->port, "Port of the page (default: 8080)")->type_name("N");
   options->common.add_to(*command);
+  options->common.add_model_to(*command);
   command->callback([options, &exit_code] { exit_code = run(*options); });
 }
 

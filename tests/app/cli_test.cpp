@@ -110,6 +110,12 @@ TEST_F(Cli, RefusesACommandLineItDoesNotUnderstand) {
   expect_refusal({"bench", "--size", "big"}, 2, "640x192");
 }
 
+TEST_F(Cli, OnlyCommandsThatUseAModelTakeOne) {
+  for (const char* command : {"record", "calibrate", "check", "probe"}) {
+    expect_refusal({command, "--model", model_.string()}, 2, "--model");
+  }
+}
+
 TEST_F(Cli, CheckNamesTheLineThatIsWrong) {
   const fs::path file = folder_ / "lcdm.toml";
   write_text(file, "[camera]\nwidth = 640\n");
