@@ -56,7 +56,7 @@ Result<ModelFile> load_model(const Config& config) {
   const std::string file = config.model.file.empty() ? find_default_model() : config.model.file;
   if (file.empty()) {
     return Status::error(
-        StatusCode::kNotFound,
+        StatusCode::kInvalidInput,
         "no model found in the clone the program was built in or in /usr/share/lcdm: give one with "
         "--model FILE or model.file");
   }

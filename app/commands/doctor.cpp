@@ -8,8 +8,8 @@
 
 #include "app/commands/commands.h"
 #include "app/common_options.h"
-#include "app/exit_code.h"
 #include "app/report.h"
+#include "firmware/base/exit_code.h"
 
 namespace lcdm {
 namespace {
@@ -26,7 +26,7 @@ void print_json(const std::vector<Finding>& findings) {
 
 int doctor(const CommonOptions& options, bool as_json) {
   const Result<Config> config = options.load();
-  if (!config) return report_unusable(config.status());
+  if (!config) return report(config.status());
   const std::vector<Finding> findings = examine(*config, "");
   if (as_json) {
     print_json(findings);

@@ -9,7 +9,6 @@
 #include "app/commands/commands.h"
 #include "app/common_options.h"
 #include "app/engine_factory.h"
-#include "app/exit_code.h"
 #include "app/http_server.h"
 #include "app/http_token.h"
 #include "app/live_view.h"
@@ -20,6 +19,7 @@
 #include "app/source.h"
 #include "app/stop_signals.h"
 #include "app/web_service.h"
+#include "firmware/base/exit_code.h"
 #include "firmware/pipeline/pipeline.h"
 
 namespace lcdm {
@@ -59,16 +59,16 @@ Result<HttpOptions> http_options(const Config& config) {
 int run(const RunOptions& options) {
   const StopSignals signals;
   Result<Config> config = load(options);
-  if (!config) return report_unusable(config.status());
+  if (!config) return report(config.status());
   Result<ModelFile> model = load_model(*config);
-  if (!model) return report_unusable(model.status());
+  if (!model) return report(model.status());
 
   const Result<HttpOptions> http = http_options(*config);
-  if (!http) return report_unusable(http.status());
+  if (!http) return report(http.status());
 
   settle_source_or_scene(*config);
   Result<OpenedSource> source = open_source(*config, config->camera.source, Playback::kLive);
-  if (!source) return report_failure(source.status());
+  if (!source) return report(source.status());
 
   MjpegDecoder decoder;
   LiveView view(config->camera.source);
@@ -84,7 +84,7 @@ int run(const RunOptions& options) {
 
   // The port before the pipeline: what cannot be shown need not start.
   const auto server = HttpServer::start(*http, web_routes(pipeline, view, recorder, service));
-  if (!server) return report_failure(server.status());
+  if (!server) return report(server.status());
   for (const std::string& address : (*server)->left_out()) {
     std::fprintf(stderr,
                  "lcdm: warning: http.listen: %s cannot be had on this machine now: left out\n",
@@ -101,7 +101,7 @@ int run(const RunOptions& options) {
   (*server)->stop();
   pipeline.stop();
   recorder.stop();
-  return status ? kExitOk : report_failure(status);
+  return status ? kExitOk : report(status);
 }
 
 }  // namespace
