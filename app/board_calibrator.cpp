@@ -22,7 +22,7 @@ constexpr int kFewestTilted = 4;           // views
 constexpr double kWorstFocalError = 0.01;  // standard deviation of fx and fy, of themselves
 
 Status refused(const std::string& text) {
-  return Status::error(StatusCode::kInvalidInput, "no calibration: %s", text.c_str());
+  return Status::error(StatusCode::kUnavailable, "no calibration: %s", text.c_str());
 }
 
 // `format` has one place for a number.

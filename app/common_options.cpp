@@ -19,6 +19,9 @@ void CommonOptions::add_to(CLI::App& command) {
   command.add_option("--set", assignments, "One value, as section.key=value; may be repeated")
       ->type_name("KEY=VALUE")
       ->allow_extra_args(false);
+}
+
+void CommonOptions::add_model_to(CLI::App& command) {
   command.add_option("--model", model, "Weights (default: the released ones)")->type_name("FILE");
 }
 
@@ -53,7 +56,7 @@ Result<ModelFile> load_model(const Config& config) {
   const std::string file = config.model.file.empty() ? find_default_model() : config.model.file;
   if (file.empty()) {
     return Status::error(
-        StatusCode::kNotFound,
+        StatusCode::kInvalidInput,
         "no model found in the clone the program was built in or in /usr/share/lcdm: give one with "
         "--model FILE or model.file");
   }

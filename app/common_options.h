@@ -20,7 +20,8 @@ struct CommonOptions {
   std::vector<std::string> assignments;
   std::string model;
 
-  void add_to(CLI::App& command);
+  void add_to(CLI::App& command);        // --config and --set
+  void add_model_to(CLI::App& command);  // --model, where one is used
   // Defaults, file, environment, --set, then `more` and --model: later ones win.
   Result<Config> load(std::vector<ConfigAssignment> more = {}) const;
 };

@@ -300,7 +300,8 @@ Result<Config> load_config(const ConfigSources& sources) {
     LCDM_RETURN_IF_ERROR(read_variable(fields, variable));
   }
   for (const ConfigAssignment& assignment : sources.assignments) {
-    LCDM_RETURN_IF_ERROR(read_assignment(fields, assignment));
+    const Status read = read_assignment(fields, assignment);
+    if (!read) return Status::error(StatusCode::kUsage, "%s", read.text());
   }
   LCDM_RETURN_IF_ERROR(check_whole(config));
   return config;

@@ -89,6 +89,7 @@ struct ConfigSources {
 };
 
 // The texts of errors begin with the place: file:line:column, the variable or the assignment.
+// kUsage: the assignment; kInvalidInput: the others, or values that do not go together.
 Result<Config> load_config(const ConfigSources& sources);
 
 // The process's environment as ConfigSources wants it.

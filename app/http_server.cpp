@@ -8,6 +8,7 @@
 #include <cstdio>
 #include <dlfcn.h>
 #include <netinet/in.h>
+#include <netinet/tcp.h>
 #include <pthread.h>
 #include <sys/socket.h>
 #include <thread>
@@ -37,6 +38,8 @@ constexpr int kWaitingThreads = kShortRequestThreads / 2;
 constexpr const char* kMaxRequestBytes = "8192";
 // What the kernel may hold for one client. A slow one then loses frames, not seconds.
 constexpr int kSendBufferBytes = 256 * 1024;
+// How long the kernel keeps a connection that has said nothing yet to itself, give or take.
+constexpr int kSilenceSeconds = 30;
 // No descriptor of ours is higher: the number of threads and files is capped.
 constexpr int kMaxDescriptor = 1024;
 
@@ -184,7 +187,7 @@ Result<std::unique_ptr<HttpServer>> HttpServer::start(const HttpOptions& options
                                                       std::vector<HttpRoute> routes) {
   std::unique_ptr<HttpServer> server(new HttpServer(options, std::move(routes)));
   LCDM_RETURN_IF_ERROR(server->listen());
-  server->limit_send_buffers();
+  server->tune_sockets();
   return server;
 }
 
@@ -235,10 +238,13 @@ Status HttpServer::listen() {
   return Status::ok();
 }
 
-// Accepted sockets inherit it from the listening one.
-void HttpServer::limit_send_buffers() const {
+// Accepted sockets inherit the buffer from the listening one. A connection that says nothing (such
+// as browsers open in advance) costs no thread: the kernel gives it to us with its first bytes.
+void HttpServer::tune_sockets() const {
   for_each_socket(port_, [](int descriptor) {
     setsockopt(descriptor, SOL_SOCKET, SO_SNDBUF, &kSendBufferBytes, sizeof(kSendBufferBytes));
+    setsockopt(descriptor, IPPROTO_TCP, TCP_DEFER_ACCEPT, &kSilenceSeconds,
+               sizeof(kSilenceSeconds));
   });
 }
 

@@ -106,7 +106,7 @@ class HttpServer {
  private:
   HttpServer(HttpOptions options, std::vector<HttpRoute> routes);
   Status listen();
-  void limit_send_buffers() const;
+  void tune_sockets() const;
   static int begin_request(mg_connection* connection);
   static int log_message(const mg_connection* connection, const char* text);
   void handle(mg_connection* connection);

@@ -7,8 +7,8 @@
 #include <system_error>
 
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
 #include "app/version.h"
+#include "firmware/base/exit_code.h"
 #include "firmware/nn/kernels/isa.h"
 
 namespace {

@@ -2,18 +2,13 @@
 
 #include <cstdio>
 
-#include "app/exit_code.h"
+#include "firmware/base/exit_code.h"
 
 namespace lcdm {
 
-int report_unusable(const Status& status) {
+int report(const Status& status) {
   std::fprintf(stderr, "lcdm: %s\n", status.text());
-  return kExitConfig;
-}
-
-int report_failure(const Status& status) {
-  std::fprintf(stderr, "lcdm: %s\n", status.text());
-  return status.code() == StatusCode::kInvalidInput ? kExitConfig : kExitFailure;
+  return exit_code_of(status);
 }
 
 }  // namespace lcdm

@@ -5,8 +5,7 @@
 
 namespace lcdm {
 
-// Both print the line and give the exit status that fits.
-int report_unusable(const Status& status);  // configuration or model: no retry can cure it
-int report_failure(const Status& status);   // as its code says
+// Prints the line and gives the exit status that fits.
+int report(const Status& status);
 
 }  // namespace lcdm

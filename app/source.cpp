@@ -103,7 +103,7 @@ Result<OpenedSource> open_source(const std::string& uri, Playback playback) {
       return OpenedSource{std::make_unique<SceneCamera>(*seed), true, true};
     }
   }
-  return Status::error(StatusCode::kInvalidInput, "%.80s: no such source: use %s", uri.c_str(),
+  return Status::error(StatusCode::kUsage, "%.80s: no such source: use %s", uri.c_str(),
                        kSourceForms);
 }
 

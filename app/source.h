@@ -30,6 +30,7 @@ constexpr const char* kSourceForms =
 // whether anything is there.
 bool is_source_uri(const std::string& text);
 
+// kUsage: not the form of a source, which the configuration's always has.
 Result<OpenedSource> open_source(const std::string& uri, Playback playback);
 
 // The source of the first V4L2 node that delivers a frame within 3 s. `rejected` says why those

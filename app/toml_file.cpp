@@ -22,6 +22,9 @@ std::string first_line(const std::string& what) {
 }
 
 constexpr int kDeepest = 16;  // lists and tables in each other: more than any configuration needs
+// The parser copies a value's whole line for the error that it might have to tell: a long line of
+// many values would take it the square of their number.
+constexpr std::size_t kLongestLine = 4096;
 
 // The most dots of one dotted key in `line`: a table in a table each. Those in quotes and in a
 // comment are none, where `quotes` can be told.
@@ -69,6 +72,26 @@ bool nests_too_deep(const std::string& text) {
   return false;
 }
 
+// The first line longer than kLongestLine; 0: there is none.
+int line_too_long(const std::string& text) {
+  std::istringstream lines(text);
+  int number = 1;
+  for (std::string line; std::getline(lines, line); ++number) {
+    if (line.size() > kLongestLine) return number;
+  }
+  return 0;
+}
+
+// What the parser below had better not see.
+Status check_limits(const std::string& file, const std::string& text) {
+  if (nests_too_deep(text)) return fault(file, "brackets lie too deep in each other");
+  if (const int line = line_too_long(text); line > 0) {
+    return fault(file + ":" + std::to_string(line),
+                 "longer than " + std::to_string(kLongestLine) + " bytes: break the line");
+  }
+  return Status::ok();
+}
+
 }  // namespace
 
 Status fault(const std::string& place, const std::string& text) {
@@ -91,7 +114,7 @@ Status read_toml(const std::string& file, const std::string& what,
   try {
     std::ifstream stream(file, std::ios::binary);
     const std::string text{std::istreambuf_iterator<char>(stream), {}};
-    if (nests_too_deep(text)) return fault(file, "brackets lie too deep in each other");
+    LCDM_RETURN_IF_ERROR(check_limits(file, text));
     stream.clear();
     stream.seekg(0);
     return use(toml::parse(stream, file));

@@ -10,11 +10,12 @@
 #include "app/commands/bench_profile.h"
 #include "app/commands/commands.h"
 #include "app/common_options.h"
-#include "app/exit_code.h"
 #include "app/report.h"
 #include "firmware/base/alloc_watch.h"
+#include "firmware/base/exit_code.h"
 #include "firmware/base/os.h"
 #include "firmware/nn/kernels/isa.h"
+#include "firmware/nn/network.h"
 
 namespace lcdm {
 namespace {
@@ -157,37 +158,36 @@ void print_text(const BenchResult& result) {
 Status parse_size(const std::string& text, EngineOptions& options) {
   char rest = 0;
   if (std::sscanf(text.c_str(), "%5dx%5d%c", &options.width, &options.height, &rest) == 2 &&
-      options.width > 0 && options.height > 0) {
+      Network::is_side(options.width) && Network::is_side(options.height)) {
     return Status::ok();
   }
-  return Status::error(StatusCode::kInvalidInput, "--size %s: write it as WIDTHxHEIGHT, as 640x192",
-                       text.c_str());
+  return Status::error(StatusCode::kUsage,
+                       "--size %s: write it as WIDTHxHEIGHT, as 640x192, of multiples of %d from "
+                       "%d to %d",
+                       text.c_str(), Network::kSizeStep, Network::kMinSide, Network::kMaxSide);
 }
 
 int bench_kernels() {
   const Status status = print_kernel_bench();
-  return status ? kExitOk : report_unusable(status);
+  return status ? kExitOk : report(status);
 }
 
 int bench(const BenchOptions& given) {
   if (given.kernels) return bench_kernels();
   const Result<Config> config = given.common.load();
-  if (!config) return report_unusable(config.status());
+  if (!config) return report(config.status());
   EngineOptions options = engine_options(*config);
   if (given.threads > 0) options.threads = given.threads;
   if (!given.size.empty()) {
-    if (const Status status = parse_size(given.size, options); !status) {
-      std::fprintf(stderr, "lcdm: %s\n", status.text());
-      return kExitUsage;
-    }
+    if (const Status status = parse_size(given.size, options); !status) return report(status);
   } else if (options.width == 0) {
     options.width = 640;
     options.height = 192;
   }
   const Result<ModelFile> model = load_model(*config);
-  if (!model) return report_unusable(model.status());
+  if (!model) return report(model.status());
   const Result<BenchResult> result = measure(*model, options);
-  if (!result) return report_unusable(result.status());
+  if (!result) return report(result.status());
   given.json ? print_json(*result) : print_text(*result);
   if (given.profile) {
     print_profile(*result->engine, result->profile, static_cast<int>(result->milliseconds.size()));
@@ -219,6 +219,7 @@ void add_bench_command(CLI::App& program, int& exit_code) {
       ->excludes(json)
       ->excludes(profile);
   options->common.add_to(*command);
+  options->common.add_model_to(*command);
   command->callback([options, &exit_code] { exit_code = bench(*options); });
 }
 

@@ -11,11 +11,11 @@
 #include "app/board_calibrator.h"
 #include "app/commands/commands.h"
 #include "app/common_options.h"
-#include "app/exit_code.h"
 #include "app/mjpeg_decoder.h"
 #include "app/report.h"
 #include "app/source.h"
 #include "app/stop_signals.h"
+#include "firmware/base/exit_code.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {
@@ -173,29 +173,32 @@ void announce(const Calibration& calibration, double coverage, const std::string
 
 int calibrate(const CalibrateOptions& options) {
   const StopSignals signals;
-  Result<Config> config = options.common.load();
-  if (!config) return report_unusable(config.status());
-  if (!options.source.empty()) config->camera.source = options.source;
-  if (const Status found = settle_source(*config); !found) return report_failure(found);
+  std::vector<ConfigAssignment> more;
+  if (!options.source.empty()) {
+    more.push_back({"camera.source=" + options.source, "--source " + options.source});
+  }
+  Result<Config> config = options.common.load(std::move(more));
+  if (!config) return report(config.status());
+  if (const Status found = settle_source(*config); !found) return report(found);
   Result<OpenedSource> source = open_source(config->camera.source, Playback::kOffline);
-  if (!source) return report_failure(source.status());
+  if (!source) return report(source.status());
   Camera& camera = *source->camera;
   Status status = camera.configure(capture_request(*config));
   if (status) status = camera.start();
-  if (!status) return report_failure(status);
+  if (!status) return report(status);
 
   Session session(camera, options.board, source->endless);
   status = session.run(signals);
   camera.stop();
-  if (!status) return report_failure(status);
+  if (!status) return report(status);
   Result<Calibration> calibration = session.calibrator().solve();
-  if (!calibration) return report_failure(calibration.status());
+  if (!calibration) return report(calibration.status());
   calibration->camera = camera.info().uri;
   calibration->date = utc_now();
   const std::string file = !options.output.empty()               ? options.output
                            : !config->camera.calibration.empty() ? config->camera.calibration
                                                                  : "calibration.toml";
-  if (status = write_calibration(file, *calibration); !status) return report_failure(status);
+  if (status = write_calibration(file, *calibration); !status) return report(status);
   announce(*calibration, session.calibrator().coverage(), file);
   return kExitOk;
 }
@@ -206,7 +209,7 @@ Status parse_board(const std::string& text, BoardSize& board) {
       board.columns >= 3 && board.rows >= 3 && board.columns <= 100 && board.rows <= 100) {
     return Status::ok();
   }
-  return Status::error(StatusCode::kInvalidInput,
+  return Status::error(StatusCode::kUsage,
                        "--board %s: write the corners between its squares, as 9x6, from 3x3",
                        text.c_str());
 }
@@ -232,12 +235,8 @@ void add_calibrate_command(CLI::App& program, int& exit_code) {
       ->type_name("FILE");
   options->common.add_to(*command);
   command->callback([options, board, &exit_code] {
-    if (const Status status = parse_board(*board, options->board); !status) {
-      std::fprintf(stderr, "lcdm: %s\n", status.text());
-      exit_code = kExitUsage;
-      return;
-    }
-    exit_code = calibrate(*options);
+    const Status status = parse_board(*board, options->board);
+    exit_code = status ? calibrate(*options) : report(status);
   });
 }
 

@@ -4,8 +4,8 @@
 
 #include "app/commands/commands.h"
 #include "app/config.h"
-#include "app/exit_code.h"
 #include "app/report.h"
+#include "firmware/base/exit_code.h"
 
 namespace lcdm {
 namespace {
@@ -13,7 +13,7 @@ namespace {
 int check(std::string file) {
   if (file.empty()) file = default_config_file();
   if (const auto config = load_config({file, process_environment(), {}}); !config) {
-    return report_unusable(config.status());
+    return report(config.status());
   }
   std::printf("%s: valid\n", file.empty() ? "built-in defaults" : file.c_str());
   return kExitOk;

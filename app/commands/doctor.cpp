@@ -8,8 +8,8 @@
 
 #include "app/commands/commands.h"
 #include "app/common_options.h"
-#include "app/exit_code.h"
 #include "app/report.h"
+#include "firmware/base/exit_code.h"
 
 namespace lcdm {
 namespace {
@@ -26,7 +26,7 @@ void print_json(const std::vector<Finding>& findings) {
 
 int doctor(const CommonOptions& options, bool as_json) {
   const Result<Config> config = options.load();
-  if (!config) return report_unusable(config.status());
+  if (!config) return report(config.status());
   const std::vector<Finding> findings = examine(*config, "");
   if (as_json) {
     print_json(findings);
@@ -56,6 +56,7 @@ void add_doctor_command(CLI::App& program, int& exit_code) {
       "come");
   command->add_flag("--json", options->json, "As JSON");
   options->common.add_to(*command);
+  options->common.add_model_to(*command);
   command->callback([options, &exit_code] { exit_code = doctor(options->common, options->json); });
 }
 

@@ -15,11 +15,11 @@
 #include "app/commands/commands.h"
 #include "app/common_options.h"
 #include "app/depth_colour.h"
-#include "app/exit_code.h"
 #include "app/mjpeg_decoder.h"
 #include "app/report.h"
 #include "app/source.h"
 #include "drivers/codec.h"
+#include "firmware/base/exit_code.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {
@@ -106,7 +106,7 @@ class Inference {
     if (isatty(STDERR_FILENO) != 0) std::fputc('\r', stderr);
     std::fprintf(stderr, "%d frame%s in %.1f s, %d broken, in %s\n", written_,
                  written_ == 1 ? "" : "s", seconds, broken_, options_.output.c_str());
-    if (!status) return report_failure(status);
+    if (!status) return report(status);
     return broken_ > 0 || written_ == 0 ? kExitFailure : kExitOk;
   }
 
@@ -205,7 +205,7 @@ Status check_not_the_source(const InferOptions& options) {
   if (!std::filesystem::is_directory(source, error)) source = source.parent_path();
   if (source.empty()) source = ".";
   if (!std::filesystem::equivalent(source, options.output, error)) return Status::ok();
-  return Status::error(StatusCode::kInvalidInput,
+  return Status::error(StatusCode::kUsage,
                        "--output %s is the source's own folder: its files would be overwritten; "
                        "give another",
                        options.output.c_str());
@@ -213,18 +213,18 @@ Status check_not_the_source(const InferOptions& options) {
 
 int infer(const InferOptions& options) {
   const Result<Config> config = options.common.load();
-  if (!config) return report_unusable(config.status());
-  if (const Status status = check_not_the_source(options); !status) return report_unusable(status);
+  if (!config) return report(config.status());
+  if (const Status status = check_not_the_source(options); !status) return report(status);
   const Result<ModelFile> model = load_model(*config);
-  if (!model) return report_unusable(model.status());
+  if (!model) return report(model.status());
   Result<OpenedSource> source = open_source(*config, options.source, Playback::kOffline);
-  if (!source) return report_failure(source.status());
+  if (!source) return report(source.status());
   Camera& camera = *source->camera;
   if (const Status status = camera.configure(capture_request(*config)); !status) {
-    return report_failure(status);
+    return report(status);
   }
-  if (const Status status = make_directory(options.output); !status) return report_failure(status);
-  if (const Status status = camera.start(); !status) return report_failure(status);
+  if (const Status status = make_directory(options.output); !status) return report(status);
+  if (const Status status = camera.start(); !status) return report(status);
   const int exit_code = Inference(options, *model, engine_options(*config)).run(camera);
   camera.stop();
   return exit_code;
@@ -251,6 +251,7 @@ void add_infer_command(CLI::App& program, int& exit_code) {
   command->add_flag("--float", options->as_float, "Also NAME.tiff: 32-bit float metres");
   command->add_flag("--colour", options->as_colour, "Also NAME.jpg: colours, near is warm");
   options->common.add_to(*command);
+  options->common.add_model_to(*command);
   command->callback([options, &exit_code] { exit_code = infer(*options); });
 }
 

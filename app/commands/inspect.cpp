@@ -5,8 +5,8 @@
 
 #include "app/commands/commands.h"
 #include "app/common_options.h"
-#include "app/exit_code.h"
 #include "app/report.h"
+#include "firmware/base/exit_code.h"
 #include "firmware/nn/network_plan.h"
 
 namespace lcdm {
@@ -48,13 +48,13 @@ void print_plan(const Network& network) {
 
 int inspect(const CommonOptions& common) {
   const Result<Config> config = common.load();
-  if (!config) return report_unusable(config.status());
+  if (!config) return report(config.status());
   const Result<ModelFile> file = load_model(*config);
-  if (!file) return report_unusable(file.status());
+  if (!file) return report(file.status());
   NetworkSize size{config->model.width, config->model.height};
   if (size.width == 0) size = choose_network_size(kWideCamera);
   const auto network = Network::build(file->config(), size.width, size.height);
-  if (!network) return report_unusable(network.status());
+  if (!network) return report(network.status());
   print_model(*file);
   print_plan(*network);
   return kExitOk;

@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
 #ifdef LCDM_LIBCAMERA
 #include "drivers/libcamera_camera.h"
 #endif
@@ -16,6 +15,7 @@
 #include "drivers/v4l2_formats.h"
 #include "drivers/v4l2_nodes.h"
 #include "drivers/v4l2_queue.h"
+#include "firmware/base/exit_code.h"
 
 namespace lcdm {
 namespace {

@@ -6,11 +6,11 @@
 
 #include "app/commands/commands.h"
 #include "app/common_options.h"
-#include "app/exit_code.h"
 #include "app/recorder.h"
 #include "app/report.h"
 #include "app/source.h"
 #include "app/stop_signals.h"
+#include "firmware/base/exit_code.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {
@@ -78,13 +78,13 @@ Status record_frames(Camera& camera, Recorder& recorder, bool live, double secon
 int record(const RecordOptions& options) {
   const StopSignals signals;
   Result<Config> config = load(options);
-  if (!config) return report_unusable(config.status());
-  if (const Status found = settle_source(*config); !found) return report_failure(found);
+  if (!config) return report(config.status());
+  if (const Status found = settle_source(*config); !found) return report(found);
   Result<OpenedSource> source = open_source(*config, config->camera.source, Playback::kOffline);
-  if (!source) return report_failure(source.status());
+  if (!source) return report(source.status());
   Camera& camera = *source->camera;
   if (const Status status = camera.configure(capture_request(*config)); !status) {
-    return report_failure(status);
+    return report(status);
   }
 
   int broken = 0;
@@ -103,7 +103,7 @@ int record(const RecordOptions& options) {
   if (status && !done.fault.empty()) {
     status = Status::error(StatusCode::kIoError, "%s", done.fault.c_str());
   }
-  if (!status) return report_failure(status);
+  if (!status) return report(status);
   std::printf("%llu frame%s, %.1f MB", static_cast<unsigned long long>(done.frames),
               done.frames == 1 ? "" : "s", static_cast<double>(done.bytes) * 1e-6);
   if (done.dropped > 0)

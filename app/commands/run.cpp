@@ -9,7 +9,6 @@
 #include "app/commands/commands.h"
 #include "app/common_options.h"
 #include "app/engine_factory.h"
-#include "app/exit_code.h"
 #include "app/http_server.h"
 #include "app/http_token.h"
 #include "app/live_view.h"
@@ -21,6 +20,7 @@
 #include "app/source.h"
 #include "app/stop_signals.h"
 #include "app/web_service.h"
+#include "firmware/base/exit_code.h"
 #include "firmware/pipeline/pipeline.h"
 
 namespace lcdm {
@@ -60,16 +60,16 @@ Result<HttpOptions> http_options(const Config& config) {
 int run(const RunOptions& options) {
   const StopSignals signals;
   Result<Config> config = load(options);
-  if (!config) return report_unusable(config.status());
+  if (!config) return report(config.status());
   Result<ModelFile> model = load_model(*config);
-  if (!model) return report_unusable(model.status());
+  if (!model) return report(model.status());
 
   const Result<HttpOptions> http = http_options(*config);
-  if (!http) return report_unusable(http.status());
+  if (!http) return report(http.status());
 
   settle_source_or_scene(*config);
   Result<OpenedSource> source = open_source(*config, config->camera.source, Playback::kLive);
-  if (!source) return report_failure(source.status());
+  if (!source) return report(source.status());
 
   MjpegDecoder decoder;
   LiveView view(config->camera.source);
@@ -85,7 +85,7 @@ int run(const RunOptions& options) {
 
   // The port before the pipeline: what cannot be shown need not start.
   const auto server = HttpServer::start(*http, web_routes(pipeline, view, recorder, service));
-  if (!server) return report_failure(server.status());
+  if (!server) return report(server.status());
   for (const std::string& address : (*server)->left_out()) {
     std::fprintf(stderr,
                  "lcdm: warning: http.listen: %s cannot be had on this machine now: left out\n",
@@ -106,7 +106,7 @@ int run(const RunOptions& options) {
   page_check.stop();
   pipeline.stop();
   recorder.stop();
-  return status ? kExitOk : report_failure(status);
+  return status ? kExitOk : report(status);
 }
 
 }  // namespace
@@ -123,6 +123,7 @@ void add_run_command(CLI::App& program, int& exit_code) {
       ->type_name("ADDR");
   command->add_option("--port", options->port, "Port of the page (default: 8080)")->type_name("N");
   options->common.add_to(*command);
+  options->common.add_model_to(*command);
   command->callback([options, &exit_code] { exit_code = run(*options); });
 }
 

@@ -3,7 +3,7 @@
 #include <cstdio>
 
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
+#include "firmware/base/exit_code.h"
 
 namespace lcdm {
 

@@ -47,6 +47,8 @@ const char* to_string(StatusCode code) {
   switch (code) {
     case StatusCode::kOk:
       return "ok";
+    case StatusCode::kUsage:
+      return "usage";
     case StatusCode::kInvalidInput:
       return "invalid input";
     case StatusCode::kNotFound:

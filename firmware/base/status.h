@@ -12,6 +12,7 @@ namespace lcdm {
 
 enum class StatusCode : std::uint8_t {
   kOk,
+  kUsage,         // the command line: not understood, or it asks for what cannot be
   kInvalidInput,  // configuration, model, request: a retry cannot cure it
   kNotFound,      // a file or device that is not there
   kUnsupported,   // well-formed, but nothing here can handle it

@@ -106,7 +106,7 @@ Result<ModelFile> ModelFile::load(const std::string& path) {
   const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(std::fopen(path.c_str(), "rb"),
                                                              &std::fclose);
   if (file == nullptr) {
-    return Status::error(StatusCode::kNotFound,
+    return Status::error(StatusCode::kInvalidInput,
                          "cannot open the model %.120s: give an existing file", path.c_str());
   }
   std::vector<std::byte> bytes;
@@ -122,11 +122,13 @@ Result<ModelFile> ModelFile::load(const std::string& path) {
     if (got < block.size()) break;
   }
   if (std::ferror(file.get()) != 0) {
-    return Status::system(errno, "cannot read the model %.120s", path.c_str());
+    const Status fault = Status::system(errno, "cannot read the model %.120s", path.c_str());
+    return Status::error(StatusCode::kInvalidInput, "%s", fault.text());
   }
   Result<ModelFile> model = parse(std::move(bytes));
-  if (!model) return Status::error(model.code(), "%.100s: %s", path.c_str(), model.status().text());
-  return model;
+  if (model) return model;
+  return Status::error(StatusCode::kInvalidInput, "%.100s: %s", path.c_str(),
+                       model.status().text());
 }
 
 Result<ModelFile> ModelFile::parse(std::vector<std::byte> bytes) {

@@ -30,7 +30,7 @@ class ModelFile {
     std::size_t count = 0;   // values
   };
 
-  // Reads at most kMaxFileBytes. Errors: kNotFound, kIoError, and those of parse(), naming `path`.
+  // Reads at most kMaxFileBytes. kInvalidInput, naming `path`: not there, or none of ours.
   static Result<ModelFile> load(const std::string& path);
 
   // Checks everything that can be checked without knowing the network: header and metadata within

@@ -373,10 +373,7 @@ std::optional<Precision> parse_precision(std::string_view name) {
 }
 
 Result<Network> Network::build(const ModelConfig& config, int width, int height) {
-  const auto possible = [](int side) {
-    return side >= kMinSide && side <= kMaxSide && side % kSizeStep == 0;
-  };
-  if (!possible(width) || !possible(height)) {
+  if (!is_side(width) || !is_side(height)) {
     return Status::error(StatusCode::kInvalidInput,
                          "network size %dx%d: choose multiples of %d from %d to %d", width, height,
                          kSizeStep, kMinSide, kMaxSide);

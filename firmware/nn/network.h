@@ -107,6 +107,9 @@ class Network {
   static constexpr int kSizeStep = 32;  // width and height are multiples of it
   static constexpr int kMinSide = 64;
   static constexpr int kMaxSide = 2048;
+  static constexpr bool is_side(int side) {
+    return side >= kMinSide && side <= kMaxSide && side % kSizeStep == 0;
+  }
   static constexpr int kHeads = 4;
   static constexpr int kGroups = 4;
   static constexpr float kNormEpsilon = 1e-5F;

@@ -1,5 +1,6 @@
 #include "firmware/vision/camera_model.h"
 
+#include <Eigen/LU>
 #include <cmath>
 
 namespace lcdm {
@@ -17,25 +18,22 @@ Point CameraModel::project(const Point& ray) const {
 
 // Newton's method with differences for derivatives.
 std::optional<Point> CameraModel::unproject(const Point& pixel) const {
+  using Eigen::Vector2d;
   constexpr int kMostSteps = 30;
   constexpr double kStep = 1e-6;
   constexpr double kCloseEnough = 1e-4;  // pixels
-  Point ray = {(pixel.x - cx) / fx, (pixel.y - cy) / fy};
-  for (int i = 0; i < kMostSteps; ++i) {
-    const Point at = project(ray);
-    const double off_x = pixel.x - at.x;
-    const double off_y = pixel.y - at.y;
-    if (std::hypot(off_x, off_y) < kCloseEnough) return ray;
-    const Point right = project({ray.x + kStep, ray.y});
-    const Point below = project({ray.x, ray.y + kStep});
-    const double xx = (right.x - at.x) / kStep;
-    const double yx = (right.y - at.y) / kStep;
-    const double xy = (below.x - at.x) / kStep;
-    const double yy = (below.y - at.y) / kStep;
-    const double determinant = xx * yy - xy * yx;
-    ray.x += (yy * off_x - xy * off_y) / determinant;
-    ray.y += (xx * off_y - yx * off_x) / determinant;
-    if (!std::isfinite(ray.x) || !std::isfinite(ray.y)) break;
+  const auto seen = [this](const Vector2d& ray) {
+    const Point at = project({ray.x(), ray.y()});
+    return Vector2d(at.x, at.y);
+  };
+  Vector2d ray((pixel.x - cx) / fx, (pixel.y - cy) / fy);
+  for (int i = 0; i < kMostSteps && ray.allFinite(); ++i) {
+    const Vector2d at = seen(ray);
+    const Vector2d off = Vector2d(pixel.x, pixel.y) - at;
+    if (off.norm() < kCloseEnough) return Point{ray.x(), ray.y()};
+    Eigen::Matrix2d slope;
+    slope << seen(ray + kStep * Vector2d::UnitX()) - at, seen(ray + kStep * Vector2d::UnitY()) - at;
+    ray += kStep * slope.inverse() * off;
   }
   return std::nullopt;
 }

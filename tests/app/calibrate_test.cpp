@@ -285,7 +285,7 @@ TEST_F(CalibrateCommand, MakesAFileThatRecordingsCarry) {
 TEST_F(CalibrateCommand, RefusesTooFewViewsAndWritesNothing) {
   const Outcome outcome =
       lcdm({"calibrate", "--source", make_pictures(4), "--board", "7x5", "--output", file_});
-  EXPECT_EQ(outcome.status, 78);
+  EXPECT_EQ(outcome.status, 1) << "more views may cure it";
   EXPECT_THAT(outcome.text, HasSubstr("10 are needed"));
   EXPECT_FALSE(fs::exists(file_));
 }
@@ -306,7 +306,7 @@ TEST_F(CalibrateCommand, LiveItGuidesUntilItIsToldToEnd) {
   ASSERT_TRUE(program.wait_for("hold the board before the camera"));
   ASSERT_TRUE(program.wait_for("no board, or not all of it"));
   kill(program.pid(), SIGINT);
-  EXPECT_EQ(program.wait(), 78);
+  EXPECT_EQ(program.wait(), 1);
   EXPECT_THAT(program.text(), HasSubstr("0 good views"));
   EXPECT_FALSE(fs::exists(file_));
 }

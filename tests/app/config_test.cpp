@@ -222,6 +222,17 @@ TEST_F(ConfigFile, KeysOfManyPartsAreRefusedBeforeTheyEatTheStack) {
             "");
 }
 
+TEST_F(ConfigFile, ALongLineIsRefusedBeforeItsValuesCostSeconds) {
+  std::string one_line = "[camera]\nwidth = [";
+  std::string many_lines = one_line;
+  for (int i = 0; i < 100'000; ++i) {
+    one_line += "1,";
+    many_lines += i % 1000 == 999 ? "1,\n" : "1,";
+  }
+  EXPECT_THAT(error_of(one_line + "]\n"), StartsWith("lcdm.toml:2: longer than 4096 bytes"));
+  EXPECT_THAT(error_of(many_lines + "]\n"), HasSubstr("must be a number"));
+}
+
 TEST_F(ConfigFile, BracketsInCommentsDoNotCount) {
   std::string text = "[camera]\n";
   for (int i = 0; i < 40; ++i) text += "# a share in [0, 1)\n";

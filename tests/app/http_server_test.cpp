@@ -225,7 +225,23 @@ TEST_F(HttpServerTest, GarbageIsNotARequest) {
   EXPECT_THAT(get(port_, "/hello"), EndsWith("hello"));
 }
 
-TEST_F(HttpServerTest, SilentClientsDoNotKeepOthersOut) {
+// As browsers open in advance.
+TEST_F(HttpServerTest, ConnectionsThatSayNothingTakeNoThreads) {
+  HttpOptions options;
+  options.listen = {"127.0.0.1"};
+  options.timeout_ms = 20'000;
+  const auto server = HttpServer::start(options, routes());
+  ASSERT_TRUE(server) << server.status().text();
+  const int port = (*server)->port();
+  std::vector<std::unique_ptr<RawClient>> silent;
+  for (int i = 0; i < 32; ++i) silent.push_back(std::make_unique<RawClient>(port));
+  std::this_thread::sleep_for(std::chrono::milliseconds(200));  // a thread would have them by now
+  EXPECT_THAT(get(port, "/hello"), EndsWith("hello"));
+  silent.back()->send("GET /hello HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
+  EXPECT_THAT(silent.back()->read(5000), EndsWith("hello")) << "when it speaks it is served";
+}
+
+TEST_F(HttpServerTest, ClientsThatStopAmidTheirRequestDoNotKeepOthersOut) {
   std::vector<std::unique_ptr<RawClient>> silent;
   for (int i = 0; i < 16; ++i) silent.push_back(std::make_unique<RawClient>(port_));
   for (const auto& client : silent) client->send("GET /hel");

@@ -175,9 +175,9 @@ TEST(ModelFile, NamesTheMetadataKeyThatIsWrong) {
 
 TEST(ModelFile, MissingFileSaysWhichAndWhatToDo) {
   const auto model = ModelFile::load("/nowhere/model.safetensors");
-  EXPECT_EQ(model.code(), StatusCode::kNotFound);
+  EXPECT_EQ(model.code(), StatusCode::kInvalidInput);
   EXPECT_THAT(model.status().text(), HasSubstr("/nowhere/model.safetensors"));
-  EXPECT_EQ(ModelFile::load("/").code(), StatusCode::kIoError);
+  EXPECT_EQ(ModelFile::load("/").code(), StatusCode::kInvalidInput);
 }
 
 TEST(ModelFile, LoadReadsWhatParseReads) {
