@@ -6,9 +6,9 @@
 #include <string>
 #include <thread>
 
-#include "app/exit_code.h"
 #include "app/report.h"
 #include "app/status_json.h"
+#include "firmware/base/exit_code.h"
 #include "tests/app/service_fixture.h"
 #include "tests/support/notify_socket.h"
 
@@ -113,7 +113,7 @@ TEST_F(ServiceLoopTest, TheLastRungEndsTheProcessSoThatSystemdStartsAnother) {
   options.recovery.give_up_after = milliseconds(0);
   make(options);
   const Status status = run();
-  EXPECT_EQ(report_failure(status), kExitFailure) << "which Restart=on-failure restarts";
+  EXPECT_EQ(report(status), kExitFailure) << "which Restart=on-failure restarts";
   EXPECT_THAT(log_, HasSubstr("fault: nothing brings the camera back: fake: EIO"));
   EXPECT_THAT(message("STOPPING=1"), HasSubstr("restart: nothing brings the camera back"));
 }
