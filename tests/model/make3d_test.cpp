@@ -69,8 +69,8 @@ TEST_F(Make3d, GridsOfThePublishedSizeAreRead) {
   const Result<PackFrame> frame = (*frames)->read(0);
   ASSERT_TRUE(frame) << frame.status().text();
   EXPECT_FLOAT_EQ(frame->depth.at<float>(0, 0), 1);
-  EXPECT_FLOAT_EQ(frame->depth.at<float>(31, 0), 1 + 31 * 55 / 32);
-  EXPECT_FLOAT_EQ(frame->depth.at<float>(31, 23), 101 + 31 * 55 / 32);
+  EXPECT_FLOAT_EQ(frame->depth.at<float>(31, 0), 1 + 63 * 55 / 64);     // the middle of the row
+  EXPECT_FLOAT_EQ(frame->depth.at<float>(31, 23), 101 + 63 * 55 / 64);  // the middle of the row
 }
 
 TEST_F(Make3d, TheCameraIsAssumedAndFollowsTheLongerSide) {
