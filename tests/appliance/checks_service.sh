@@ -121,10 +121,9 @@ freeze_process() { on_guest systemctl kill -s STOP lcdm; }
 # Only the thread that infers is held, in a group of its own: everything else answers, and the ping
 # must stop all the same.
 freeze_inference() {
-  on_guest 'cd /sys/fs/cgroup/system.slice/lcdm.service && mkdir held && echo threaded >held/cgroup.type &&
-    for task in /proc/$(systemctl show lcdm -p MainPID --value)/task/*; do
-      [ "$(cat $task/comm)" = infer ] && echo ${task##*/} >held/cgroup.threads
-    done && echo 1 >held/cgroup.freeze' >&2
+  on_guest 'task=$(grep -lx infer /proc/$(systemctl show lcdm -p MainPID --value)/task/*/comm) &&
+    task=${task%/comm} && cd /sys/fs/cgroup/system.slice/lcdm.service && mkdir held &&
+    echo threaded >held/cgroup.type && echo ${task##*/} >held/cgroup.threads && echo 1 >held/cgroup.freeze' >&2
 }
 watchdog_restarts() {
   local before begin=$EPOCHREALTIME
