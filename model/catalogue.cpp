@@ -274,7 +274,7 @@ Result<Catalogue> catalogue_for(const DataOptions& options) {
 
 Result<Catalogue> read_catalogue(const std::string& file) {
   if (!fs::is_regular_file(file)) {
-    return Status::error(StatusCode::kNotFound,
+    return Status::error(StatusCode::kInvalidInput,
                          "%s: no such catalogue of data: name one with --data (model/data/)",
                          file.c_str());
   }
@@ -282,7 +282,7 @@ Result<Catalogue> read_catalogue(const std::string& file) {
     return catalogue_of(file, toml::parse(file));
   } catch (const std::exception& error) {
     const std::string what = error.what();
-    return Status::error(StatusCode::kCorrupt, "%s: %s", file.c_str(),
+    return Status::error(StatusCode::kInvalidInput, "%s: %s", file.c_str(),
                          what.substr(0, what.find('\n')).c_str());
   }
 }
@@ -337,7 +337,7 @@ Result<Data> load_training_data(const DataOptions& options) {
 
 Result<Data> load_test_data(const DataOptions& options) {
   if (!options.packs.empty()) {
-    return Status::error(StatusCode::kInvalidInput,
+    return Status::error(StatusCode::kUsage,
                          "--pack has a validation part and no test part: leave --test out, or "
                          "write a catalogue with [[test]]");
   }

@@ -40,7 +40,7 @@ struct Catalogue {
   RenderedUse medley;
 };
 
-// Errors name file, line and key: kNotFound, kCorrupt, kInvalidInput.
+// Errors name file, line and key: kInvalidInput.
 Result<Catalogue> read_catalogue(const std::string& file);
 
 // What commands ask about their data.

@@ -140,7 +140,7 @@ Status evaluate_all(const Options& options, const std::vector<Candidate>& candid
     evaluate_pack(options, pack, data->protocols[i], data->root, candidates, table);
   }
   if (found) return Status::ok();
-  return Status::error(StatusCode::kInvalidInput, "--only %s: no set of this name among the %s",
+  return Status::error(StatusCode::kUsage, "--only %s: no set of this name among the %s",
                        options.pack.c_str(), options.test ? "test sets" : "training packs");
 }
 
@@ -203,7 +203,7 @@ Status run(const Options& options) {
     candidates.push_back({"folder", folder_estimator(options.estimates)});
   }
   if (candidates.empty()) {
-    return Status::error(StatusCode::kInvalidInput,
+    return Status::error(StatusCode::kUsage,
                          "nothing to evaluate: give --checkpoint, --model or --estimates");
   }
   return evaluate_all(options, candidates);

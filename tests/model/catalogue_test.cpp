@@ -74,7 +74,7 @@ TEST_F(CatalogueTest, FaultsNameLineAndCure) {
   expect_fault("[medley]\nframes = 1e8", "more would show the worlds that validate");
   expect_fault("[train]\npath = \"a\"", "write [[train]]");
   expect_fault("[[train]\n", "lcdm-catalogue.toml");
-  EXPECT_EQ(read_catalogue("no/such.toml").code(), StatusCode::kNotFound);
+  EXPECT_EQ(read_catalogue("no/such.toml").code(), StatusCode::kInvalidInput);
 }
 
 // The committed ones: nothing of the research catalogue's licences in the open one.
@@ -105,7 +105,7 @@ TEST_F(CatalogueTest, KittiNeedsASourceOfDepth) {
 TEST(Catalogues, OwnPacksHaveNoTestPart) {
   DataOptions options;
   options.packs = {testing::TempDir()};
-  EXPECT_EQ(load_test_data(options).code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(load_test_data(options).code(), StatusCode::kUsage);
 }
 
 TEST(Catalogues, LoadTheSceneAlone) {
