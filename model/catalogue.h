@@ -55,7 +55,6 @@ void add_data_options(CLI::App& command, DataOptions& options);
 
 struct Data {
   std::string licence;
-  std::string root;
   std::vector<Pack> packs;
   std::vector<Protocol> protocols;  // of each pack
 };

@@ -36,6 +36,7 @@ struct PackUse {
 
 struct Pack {
   PackUse use;
+  std::filesystem::path folder;  // empty: its frames do not lie in one
   std::shared_ptr<const Frames> frames;
   std::vector<std::size_t> train;  // indices of frames
   std::vector<std::size_t> validation;
@@ -57,6 +58,9 @@ Split split_frames(const std::vector<std::string>& names);
 // used, named in the text. `every` > 1 keeps every n-th frame.
 Result<Pack> load_pack(const std::filesystem::path& root, const PackUse& use, int max_width,
                        std::size_t every = 1);
+
+// Where a teacher's maps lie beside a pack's own depth, to be compared with; empty: nowhere.
+std::filesystem::path maps_beside_depth(const Pack& pack);
 
 // Inverse depth resized bilinearly, holes kept holes: for teachers whose maps have no holes.
 cv::Mat resize_inverse(const cv::Mat& depth, cv::Size size);

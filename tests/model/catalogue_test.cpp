@@ -5,10 +5,10 @@
 #include <fstream>
 #include <gtest/gtest.h>
 
+#include "tests/model/data_set_fixture.h"
+
 namespace lcdm::model {
 namespace {
-
-namespace fs = std::filesystem;
 
 class CatalogueTest : public testing::Test {
  protected:
@@ -106,6 +106,51 @@ TEST(Catalogues, OwnPacksHaveNoTestPart) {
   DataOptions options;
   options.packs = {testing::TempDir()};
   EXPECT_EQ(load_test_data(options).code(), StatusCode::kUsage);
+}
+
+// A pack of one frame, given by --pack: a teacher says 2 m everywhere.
+class OwnPack : public DataSet {
+ protected:
+  void SetUp() override {
+    DataSet::SetUp();
+    write_picture(root_ / "rgb" / "000000.png", {64, 48}, {10, 100, 200});
+    write(root_ / "intrinsics.json", R"({"fx": 100, "fy": 100, "cx": 32, "cy": 24})");
+  }
+  void write_maps(const std::string& folder) const {
+    write_depth(root_ / folder / "000000.png", cv::Mat_<std::uint16_t>(48, 64, std::uint16_t{512}));
+  }
+  Result<Data> load() const {
+    DataOptions options;
+    options.packs = {root_.string()};
+    return load_training_data(options);
+  }
+};
+
+TEST_F(OwnPack, LearnsFromItsDepthAndIsComparedWithItsTeacher) {
+  write_depth(root_ / "depth" / "000000.png", cv::Mat_<std::uint16_t>(48, 64, std::uint16_t{3000}));
+  write_maps("teacher_meter");
+  const Result<Data> data = load();
+  ASSERT_TRUE(data) << data.status().text();
+  const Pack& pack = data->packs.at(0);
+  EXPECT_FLOAT_EQ(pack.frames->read(0)->depth.at<float>(0, 0), 3);
+  EXPECT_EQ(maps_beside_depth(pack), fs::canonical(root_) / "teacher_meter");
+}
+
+TEST_F(OwnPack, LearnsFromItsTeacherWhereItHasNoDepth) {
+  write_maps("teacher");
+  write_maps("teacher_meter");
+  const Result<Data> data = load();
+  ASSERT_TRUE(data) << data.status().text();
+  const Pack& pack = data->packs.at(0);
+  EXPECT_EQ(pack.use.maps, "teacher") << "which `lcdm-train teach` makes";
+  EXPECT_FLOAT_EQ(pack.frames->read(0)->depth.at<float>(0, 0), 2);
+  EXPECT_TRUE(maps_beside_depth(pack).empty()) << "nothing to compare it with";
+}
+
+TEST_F(OwnPack, WithoutAnyDepthIsToldWhatMakesSome) {
+  const Result<Data> data = load();
+  ASSERT_EQ(data.code(), StatusCode::kUsage);
+  EXPECT_NE(std::string(data.status().text()).find("lcdm-train teach"), std::string::npos);
 }
 
 TEST(Catalogues, LoadTheSceneAlone) {
