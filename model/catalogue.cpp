@@ -3,6 +3,7 @@
 #include <numeric>
 #include <toml.hpp>
 
+#include "firmware/base/folder.h"
 #include "model/kitti_raw.h"
 #include "model/make3d.h"
 #include "model/nyu_depth.h"
@@ -259,12 +260,35 @@ Result<Pack> open_entry(const CatalogueEntry& entry, const fs::path& root, Purpo
   return split_pack(entry, *frames, *validation);
 }
 
-// A pack of the user's own: trusted, for both shapes alike.
-CatalogueEntry own_entry(const fs::path& folder) {
+// The first folder of a pack whose name begins with "teacher" (teach makes `teacher`); empty: none.
+std::string maps_in(const fs::path& folder) {
+  const auto all = list_folder(folder);
+  if (!all) return {};
+  for (const fs::path& path : *all) {
+    const std::string name = path.filename().string();
+    if (name.rfind("teacher", 0) == 0 && fs::is_directory(path)) return name;
+  }
+  return {};
+}
+
+// A pack of the user's own: trusted, for both shapes alike. Where it has no depth of a sensor it
+// has a teacher's.
+Result<CatalogueEntry> own_entry(const fs::path& folder) {
   CatalogueEntry entry;
-  entry.path = entry.use.name = folder.filename().string();
-  entry.use.wide_share = entry.use.tall_share = 1;
+  PackUse& use = entry.use;
+  entry.path = use.name = folder.filename().string();
+  use.wide_share = use.tall_share = 1;
   entry.protocol = *protocol_named("rgbd");
+  const std::string maps = maps_in(folder);
+  if (!maps.empty()) use.maps = maps;
+  if (fs::is_directory(folder / "depth")) return entry;
+  if (maps.empty()) {
+    return Status::error(StatusCode::kUsage,
+                         "--pack %s: there is neither depth/ nor a teacher's maps in it: "
+                         "`lcdm-train teach` makes some",
+                         folder.c_str());
+  }
+  use.teacher = Teacher::kMaps;
   return entry;
 }
 
@@ -299,7 +323,7 @@ Result<Catalogue> catalogue_for(const DataOptions& options) {
 
 Result<Catalogue> read_catalogue(const std::string& file) {
   if (!fs::is_regular_file(file)) {
-    return Status::error(StatusCode::kNotFound,
+    return Status::error(StatusCode::kInvalidInput,
                          "%s: no such catalogue of data: name one with --data (model/data/)",
                          file.c_str());
   }
@@ -307,7 +331,7 @@ Result<Catalogue> read_catalogue(const std::string& file) {
     return catalogue_of(file, toml::parse(file));
   } catch (const std::exception& error) {
     const std::string what = error.what();
-    return Status::error(StatusCode::kCorrupt, "%s: %s", file.c_str(),
+    return Status::error(StatusCode::kInvalidInput, "%s: %s", file.c_str(),
                          what.substr(0, what.find('\n')).c_str());
   }
 }
@@ -325,8 +349,8 @@ void add_data_options(CLI::App& command, DataOptions& options) {
       ->check(CLI::Range(std::size_t{0}, kMostRenderedFrames));
   command
       .add_option("--pack", options.packs,
-                  "Train on this pack (rgb/, depth/, intrinsics.json) instead of the catalogue's; "
-                  "may be given again")
+                  "Train on this pack (rgb/, intrinsics.json, and depth/ or a teacher's maps in "
+                  "teacher*/) instead of the catalogue's; may be given again")
       ->check(CLI::ExistingDirectory);
 }
 
@@ -335,7 +359,6 @@ Result<Data> load_training_data(const DataOptions& options) {
   if (!catalogue) return catalogue.status();
   Data data;
   data.licence = catalogue->licence;
-  data.root = catalogue->root;
   const auto take = [&](const CatalogueEntry& entry, const fs::path& root) -> Status {
     Result<Pack> pack = open_entry(entry, root, Purpose::kTrain, options.every);
     if (!pack) return pack.status();
@@ -344,7 +367,9 @@ Result<Data> load_training_data(const DataOptions& options) {
   };
   for (const std::string& folder : options.packs) {
     const fs::path path = fs::canonical(folder);
-    LCDM_RETURN_IF_ERROR(take(own_entry(path), path.parent_path()));
+    const Result<CatalogueEntry> entry = own_entry(path);
+    if (!entry) return entry.status();
+    LCDM_RETURN_IF_ERROR(take(*entry, path.parent_path()));
   }
   for (const CatalogueEntry& entry : catalogue->train) {
     LCDM_RETURN_IF_ERROR(take(entry, catalogue->root));
@@ -362,7 +387,7 @@ Result<Data> load_training_data(const DataOptions& options) {
 
 Result<Data> load_test_data(const DataOptions& options) {
   if (!options.packs.empty()) {
-    return Status::error(StatusCode::kInvalidInput,
+    return Status::error(StatusCode::kUsage,
                          "--pack has a validation part and no test part: leave --test out, or "
                          "write a catalogue with [[test]]");
   }
@@ -370,7 +395,6 @@ Result<Data> load_test_data(const DataOptions& options) {
   if (!catalogue) return catalogue.status();
   Data data;
   data.licence = catalogue->licence;
-  data.root = catalogue->root;
   for (const CatalogueEntry& entry : catalogue->test) {
     Result<Pack> pack = open_entry(entry, catalogue->root, Purpose::kTest, 1);
     if (!pack) return pack.status();

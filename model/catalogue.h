@@ -41,7 +41,7 @@ struct Catalogue {
   RenderedUse medley;
 };
 
-// Errors name file, line and key: kNotFound, kCorrupt, kInvalidInput.
+// Errors name file, line and key: kInvalidInput.
 Result<Catalogue> read_catalogue(const std::string& file);
 
 // What commands ask about their data.
@@ -56,7 +56,6 @@ void add_data_options(CLI::App& command, DataOptions& options);
 
 struct Data {
   std::string licence;
-  std::string root;
   std::vector<Pack> packs;
   std::vector<Protocol> protocols;  // of each pack
 };

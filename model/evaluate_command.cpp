@@ -99,11 +99,10 @@ void write_pictures(const fs::path& folder, const Pack& pack, const Candidate& c
 }
 
 void evaluate_pack(const Options& options, const Pack& pack, Protocol protocol,
-                   const std::string& root, std::vector<Candidate> candidates, FrameTable& table) {
+                   std::vector<Candidate> candidates, FrameTable& table) {
   if (pack.validation.empty()) return;
   // Against the teacher's own maps there is nothing to learn about the teacher.
-  const fs::path maps = fs::path(root) / pack.use.name / pack.use.maps;
-  if (pack.use.teacher == Teacher::kSensor && fs::is_directory(maps)) {
+  if (const fs::path maps = maps_beside_depth(pack); !maps.empty()) {
     candidates.push_back({"teacher " + pack.use.maps, maps_estimator(maps.string())});
   }
   protocol.median_scaling = !options.no_scaling;
@@ -137,10 +136,10 @@ Status evaluate_all(const Options& options, const std::vector<Candidate>& candid
     const Pack& pack = data->packs[i];
     if (!options.pack.empty() && pack.use.name != options.pack) continue;
     found = true;
-    evaluate_pack(options, pack, data->protocols[i], data->root, candidates, table);
+    evaluate_pack(options, pack, data->protocols[i], candidates, table);
   }
   if (found) return Status::ok();
-  return Status::error(StatusCode::kInvalidInput, "--only %s: no set of this name among the %s",
+  return Status::error(StatusCode::kUsage, "--only %s: no set of this name among the %s",
                        options.pack.c_str(), options.test ? "test sets" : "training packs");
 }
 
@@ -203,7 +202,7 @@ Status run(const Options& options) {
     candidates.push_back({"folder", folder_estimator(options.estimates)});
   }
   if (candidates.empty()) {
-    return Status::error(StatusCode::kInvalidInput,
+    return Status::error(StatusCode::kUsage,
                          "nothing to evaluate: give --checkpoint, --model or --estimates");
   }
   return evaluate_all(options, candidates);

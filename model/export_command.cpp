@@ -32,7 +32,7 @@ Status write_model(const Options& options) {
   config.name = options.name;
   if (!options.licence.empty()) config.licence = options.licence;
   if (config.licence.empty()) {
-    return Status::error(StatusCode::kInvalidInput,
+    return Status::error(StatusCode::kUsage,
                          "the checkpoint does not say what its data asks of the weights: give "
                          "--licence");
   }
@@ -49,12 +49,12 @@ Status write_model(const Options& options) {
 Status run(const Options& options) {
   if (!options.checkpoint.empty()) {
     if (options.output.empty() || options.name.empty() || options.card.empty()) {
-      return Status::error(StatusCode::kInvalidInput,
+      return Status::error(StatusCode::kUsage,
                            "a checkpoint becomes a model file with --output, --name and --card");
     }
     LCDM_RETURN_IF_ERROR(write_model(options));
   } else if (options.model.empty() || options.onnx.empty()) {
-    return Status::error(StatusCode::kInvalidInput,
+    return Status::error(StatusCode::kUsage,
                          "nothing to export: give --checkpoint, or --model with --onnx");
   }
   if (options.onnx.empty()) return Status::ok();

@@ -5,6 +5,7 @@
 #include <opencv2/core.hpp>
 #include <unistd.h>
 
+#include "firmware/base/exit_code.h"
 #include "model/commands.h"
 #include "model/torch.h"
 
@@ -61,14 +62,13 @@ int main(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error);
+    if (error.get_exit_code() == 0) return app.exit(error);  // --help
+    std::fprintf(stderr, "lcdm-train: %s (see lcdm-train --help)\n", error.what());
+    return lcdm::kExitUsage;
   } catch (const std::exception& error) {
     std::fprintf(stderr, "lcdm-train: %s\n", error.what());
-    return 1;
+    return lcdm::kExitFailure;
   }
-  if (!status) {
-    std::fprintf(stderr, "lcdm-train: %s\n", status.text());
-    return 1;
-  }
-  return 0;
+  if (!status) std::fprintf(stderr, "lcdm-train: %s\n", status.text());
+  return lcdm::exit_code_of(status);
 }

@@ -303,6 +303,7 @@ Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, 
   if (!intrinsics) return intrinsics.status();
   Pack pack;
   pack.use = use;
+  pack.folder = folder;
   pack.frames =
       std::make_shared<FolderFrames>(folder, std::move(pictures), use, *intrinsics, max_width);
   LCDM_RETURN_IF_ERROR(check_first(*pack.frames));
@@ -313,6 +314,12 @@ Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, 
   pack.train = std::move(split.train);
   pack.validation = std::move(split.validation);
   return pack;
+}
+
+fs::path maps_beside_depth(const Pack& pack) {
+  if (pack.folder.empty() || pack.use.teacher != Teacher::kSensor) return {};
+  fs::path maps = pack.folder / pack.use.maps;
+  return fs::is_directory(maps) ? maps : fs::path();
 }
 
 cv::Mat resize_inverse(const cv::Mat& depth, cv::Size size) {

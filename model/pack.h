@@ -37,6 +37,7 @@ struct PackUse {
 
 struct Pack {
   PackUse use;
+  std::filesystem::path folder;  // empty: its frames do not lie in one
   std::shared_ptr<const Frames> frames;
   std::vector<std::size_t> train;  // indices of frames
   std::vector<std::size_t> validation;
@@ -59,6 +60,9 @@ Split split_frames(const std::vector<std::string>& names);
 // n-th frame.
 Result<Pack> load_pack(const std::filesystem::path& root, const PackUse& use, int max_width,
                        std::size_t every = 1);
+
+// Where a teacher's maps lie beside a pack's own depth, to be compared with; empty: nowhere.
+std::filesystem::path maps_beside_depth(const Pack& pack);
 
 // Inverse depth resized bilinearly. 0 where anything of a hole would go in.
 cv::Mat resize_inverse(const cv::Mat& depth, cv::Size size);

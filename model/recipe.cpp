@@ -58,7 +58,7 @@ Result<Stage> parse_stage(const std::string& text) {
   if (!whole || !(stage.share >= 0.2 && stage.share <= 2) || stage.images < 1 ||
       !(stage.until > 0 && stage.until <= 1) ||
       (fields == 4 && !(stage.learning_rate > 0 && stage.learning_rate < 1))) {
-    return Status::error(StatusCode::kInvalidInput,
+    return Status::error(StatusCode::kUsage,
                          "stage \"%s\" is not SHARE:IMAGES:UNTIL or SHARE:IMAGES:UNTIL:RATE, such "
                          "as 0.5:8:0.8 (size 0.2 to 2 of the deployed one, until 0 to 1 of the "
                          "steps, learning rate below 1)",

@@ -22,7 +22,7 @@ struct Stage {
   double until = 1;          // share of the steps at which the next stage begins
   double learning_rate = 0;  // > 0: warm-up and cosine begin again here, from this rate
 };
-// "SHARE:IMAGES:UNTIL" or "SHARE:IMAGES:UNTIL:RATE". kInvalidInput: not numbers in their ranges.
+// "SHARE:IMAGES:UNTIL" or "SHARE:IMAGES:UNTIL:RATE". kUsage: not numbers in their ranges.
 Result<Stage> parse_stage(const std::string& text);
 
 // A file of model/recipes/.

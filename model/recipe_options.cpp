@@ -102,7 +102,7 @@ Result<Recipe> recipe_of(const RecipeOptions& options) {
     const Result<Stage> stage = parse_stage(text);
     if (!stage) return stage.status();
     if (stage->until <= begin) {
-      return Status::error(StatusCode::kInvalidInput,
+      return Status::error(StatusCode::kUsage,
                            "--stage %s: ends before it begins, at %g of the steps", text.c_str(),
                            begin);
     }
@@ -126,7 +126,7 @@ Result<Compute> compute_of(const ComputeOptions& options) {
   compute.loaders = options.loaders;
   if (options.device == "cuda") {
     if (!torch::cuda::is_available()) {
-      return Status::error(StatusCode::kInvalidInput,
+      return Status::error(StatusCode::kUsage,
                            "--device cuda: this LibTorch sees no CUDA device; use cpu, or build "
                            "against a LibTorch with CUDA (CMAKE_PREFIX_PATH)");
     }

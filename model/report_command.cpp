@@ -240,8 +240,7 @@ Status run(const Options& options) {
     const Pack& pack = data->packs[i];
     if (pack.validation.empty()) continue;
     std::vector<Candidate> of_pack = *candidates;
-    const fs::path maps = fs::path(data->root) / pack.use.name / pack.use.maps;
-    if (pack.use.teacher == Teacher::kSensor && fs::is_directory(maps)) {
+    if (const fs::path maps = maps_beside_depth(pack); !maps.empty()) {
       of_pack.push_back({"teacher " + pack.use.maps, maps_estimator(maps.string())});
     }
     add_accuracy(page, pack, data->protocols[i], of_pack, accuracy);

@@ -76,7 +76,7 @@ bool write_all(const std::string& path, const TensorFile& file) {
 }
 
 Status corrupt(const std::string& path, const char* what) {
-  return Status::error(StatusCode::kCorrupt, "%s: not a readable safetensors file (%s)",
+  return Status::error(StatusCode::kInvalidInput, "%s: not a readable safetensors file (%s)",
                        path.c_str(), what);
 }
 

@@ -18,7 +18,7 @@ struct TensorFile {
 // kIoError: a full disk, a folder that is not there.
 Status write_tensors(const std::string& path, const TensorFile& file);
 
-// kNotFound, kIoError; kCorrupt: not a safetensors file of these types.
+// kNotFound; kInvalidInput: not a safetensors file of these types.
 Result<TensorFile> read_tensors(const std::string& path);
 
 // `text` as a JSON string, with its quotes.

@@ -236,7 +236,7 @@ Result<ImportReport> Trainer::start_encoder_from(const TensorFile& file, Channel
 
 Result<ImportReport> Trainer::start_pose_from(const TensorFile& file) {
   if (networks_->pose.is_empty()) {
-    return Status::error(StatusCode::kInvalidInput,
+    return Status::error(StatusCode::kUsage,
                          "there is no pose network to start: give --photometric a weight");
   }
   auto report = import_resnet18(file, networks_->pose->encoder);

@@ -10,8 +10,6 @@
 namespace lcdm::model {
 namespace {
 
-using OwnPack = DataSet;
-
 class CatalogueTest : public testing::Test {
  protected:
   void TearDown() override { fs::remove(path_); }
@@ -77,7 +75,7 @@ TEST_F(CatalogueTest, FaultsNameLineAndCure) {
   expect_fault("[medley]\nframes = 1e8", "more would show the worlds that validate");
   expect_fault("[train]\npath = \"a\"", "write [[train]]");
   expect_fault("[[train]\n", "lcdm-catalogue.toml");
-  EXPECT_EQ(read_catalogue("no/such.toml").code(), StatusCode::kNotFound);
+  EXPECT_EQ(read_catalogue("no/such.toml").code(), StatusCode::kInvalidInput);
 }
 
 // The committed ones: nothing of the research catalogue's licences in the open one.
@@ -108,17 +106,58 @@ TEST_F(CatalogueTest, KittiNeedsASourceOfDepth) {
 TEST(Catalogues, OwnPacksHaveNoTestPart) {
   DataOptions options;
   options.packs = {testing::TempDir()};
-  EXPECT_EQ(load_test_data(options).code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(load_test_data(options).code(), StatusCode::kUsage);
+}
+
+// A pack of one frame, given by --pack: a teacher says 2 m everywhere.
+class OwnPack : public DataSet {
+ protected:
+  void SetUp() override {
+    DataSet::SetUp();
+    write_picture(root_ / "rgb" / "000000.png", {64, 48}, {10, 100, 200});
+    write(root_ / "intrinsics.json", R"({"fx": 100, "fy": 100, "cx": 32, "cy": 24})");
+  }
+  void write_maps(const std::string& folder) const {
+    write_depth(root_ / folder / "000000.png", cv::Mat_<std::uint16_t>(48, 64, std::uint16_t{512}));
+  }
+  Result<Data> load() const {
+    DataOptions options;
+    options.packs = {root_.string()};
+    return load_training_data(options);
+  }
+};
+
+TEST_F(OwnPack, LearnsFromItsDepthAndIsComparedWithItsTeacher) {
+  write_depth(root_ / "depth" / "000000.png", cv::Mat_<std::uint16_t>(48, 64, std::uint16_t{3000}));
+  write_maps("teacher_meter");
+  const Result<Data> data = load();
+  ASSERT_TRUE(data) << data.status().text();
+  const Pack& pack = data->packs.at(0);
+  EXPECT_FLOAT_EQ(pack.frames->read(0)->depth.at<float>(0, 0), 3);
+  EXPECT_EQ(maps_beside_depth(pack), fs::canonical(root_) / "teacher_meter");
+}
+
+TEST_F(OwnPack, LearnsFromItsTeacherWhereItHasNoDepth) {
+  write_maps("teacher");
+  write_maps("teacher_meter");
+  const Result<Data> data = load();
+  ASSERT_TRUE(data) << data.status().text();
+  const Pack& pack = data->packs.at(0);
+  EXPECT_EQ(pack.use.maps, "teacher") << "which `lcdm-train teach` makes";
+  EXPECT_FLOAT_EQ(pack.frames->read(0)->depth.at<float>(0, 0), 2);
+  EXPECT_TRUE(maps_beside_depth(pack).empty()) << "nothing to compare it with";
+}
+
+TEST_F(OwnPack, WithoutAnyDepthIsToldWhatMakesSome) {
+  const Result<Data> data = load();
+  ASSERT_EQ(data.code(), StatusCode::kUsage);
+  EXPECT_NE(std::string(data.status().text()).find("lcdm-train teach"), std::string::npos);
 }
 
 // Recordings of a depth camera, as the paper's own: nothing counts nearer than .1 m or beyond 10 m.
 TEST_F(OwnPack, IsMeasuredAsRgbdRecordingsAre) {
-  write_picture(root_ / "rgb" / "0.png", {64, 48}, {10, 100, 200});
-  write_depth(root_ / "depth" / "0.png", no_depth(48, 64));
-  write(root_ / "intrinsics.json", R"({"fx": 60})");
-  DataOptions options;
-  options.packs = {root_.string()};
-  const Result<Data> data = load_training_data(options);
+  write_depth(root_ / "depth" / "000000.png", no_depth(48, 64));
+  const Result<Data> data = load();
   ASSERT_TRUE(data) << data.status().text();
   EXPECT_FLOAT_EQ(data->protocols[0].nearest, 0.1);
   EXPECT_FLOAT_EQ(data->protocols[0].farthest, 10);

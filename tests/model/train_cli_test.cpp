@@ -1,0 +1,78 @@
+// The trainer's command line as scripts use it: one line for each bad input, and the exit statuses
+// of app/README.md.
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <string>
+#include <vector>
+
+#include "firmware/base/os.h"
+#include "tests/app/program.h"
+
+namespace lcdm {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+class TrainCli : public testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = fs::temp_directory_path() / ("lcdm_train_cli_" + std::to_string(os::monotonic_ns()));
+    fs::create_directories(folder_);
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  std::string write(const std::string& name, const std::string& text) const {
+    const fs::path path = folder_ / name;
+    std::ofstream(path) << text;
+    return path.string();
+  }
+
+  // Expects one line that says `wanted` and the status.
+  static void expect_refusal(const std::vector<std::string>& arguments, int status,
+                             const std::string& wanted) {
+    test::Program program(LCDM_TRAIN_PROGRAM, arguments);
+    EXPECT_EQ(program.wait(), status) << program.text();
+    EXPECT_THAT(program.text(), StartsWith("lcdm-train: "));
+    EXPECT_THAT(program.text(), HasSubstr(wanted));
+    EXPECT_EQ(std::count(program.text().begin(), program.text().end(), '\n'), 1) << program.text();
+  }
+
+  fs::path folder_;
+};
+
+TEST_F(TrainCli, HelpIsNoFault) {
+  test::Program program(LCDM_TRAIN_PROGRAM, {"evaluate", "--help"});
+  EXPECT_EQ(program.wait(), 0);
+  EXPECT_THAT(program.text(), HasSubstr("--checkpoint"));
+}
+
+TEST_F(TrainCli, RefusesACommandLineItDoesNotUnderstand) {
+  expect_refusal({}, 2, "see lcdm-train --help");
+  expect_refusal({"evaluate", "--fast"}, 2, "--fast");
+  expect_refusal({"export", "--checkpoint", "/nowhere"}, 2, "/nowhere");
+  expect_refusal({"--recipe", "/nowhere.toml", "train"}, 2, "/nowhere.toml");
+  expect_refusal({"--recipe", write("recipe.toml", "[train]\nsteps = \"many\"\n"), "train"}, 2,
+                 "many");
+}
+
+TEST_F(TrainCli, RefusesACommandLineThatAsksForWhatCannotBe) {
+  expect_refusal({"evaluate"}, 2, "nothing to evaluate");
+  expect_refusal({"export"}, 2, "nothing to export");
+  expect_refusal({"train", "--stage", "1:2"}, 2, "SHARE:IMAGES:UNTIL");
+}
+
+TEST_F(TrainCli, RefusesDataAndWeightsThatNoRetryCures) {
+  expect_refusal({"train", "--data", "/nowhere.toml"}, 78, "/nowhere.toml");
+  expect_refusal({"train", "--data", write("data.toml", "[[train]\n")}, 78, "data.toml");
+  const std::string junk = write("junk.safetensors", "this is no model");
+  expect_refusal({"evaluate", "--model", junk}, 78, "junk.safetensors");
+  expect_refusal({"evaluate", "--checkpoint", junk}, 78, "junk.safetensors");
+}
+
+}  // namespace
+}  // namespace lcdm
