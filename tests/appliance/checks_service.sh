@@ -104,6 +104,7 @@ control_needs_the_token() {
   echo "without, with another, with the token: $codes"
   ! on_guest "journalctl -b | grep $token" >&2 || return
   set_service
+  on_guest rm /etc/lcdm/token
   within 60 depth_flows >&2 && [[ $codes == '401 401 200' ]]
 }
 
@@ -182,10 +183,10 @@ package_upgrades() {
   before=$(on_guest systemctl show lcdm -p MainPID --value) || return
   on_guest 'echo "# mine" >>/etc/lcdm/lcdm.toml && cd /root && rm -rf newer && dpkg-deb -R lcdm.deb newer &&
     sed -i "s/^Version: .*/&+newer/" newer/DEBIAN/control && echo "# newer" >>newer/etc/lcdm/lcdm.toml &&
-    dpkg-deb -b newer newer.deb && dpkg -i --force-confdef --force-confold newer.deb &&
+    dpkg-deb -Zgzip -z1 -b newer newer.deb && dpkg -i --force-confdef --force-confold newer.deb &&
     grep -q "# mine" /etc/lcdm/lcdm.toml && grep -q "# newer" /etc/lcdm/lcdm.toml.dpkg-dist' >&2 || return
   within 90 depth_flows >&2 || return
-  on_guest dpkg-query -W -f '${Version}' lcdm
+  on_guest "dpkg-query -W -f '\${Version}' lcdm" && echo
   [[ $(on_guest systemctl show lcdm -p MainPID --value) != "$before" ]]
 }
 
