@@ -87,9 +87,7 @@ int run(const RunOptions& options) {
   const auto server = HttpServer::start(*http, web_routes(pipeline, view, recorder, service));
   if (!server) return report(server.status());
   for (const std::string& address : (*server)->left_out()) {
-    std::fprintf(stderr,
-                 "lcdm: warning: http.listen: %s cannot be had on this machine now: left out\n",
-                 address.c_str());
+    std::printf("http.listen: %s cannot be had on this machine now: left out\n", address.c_str());
   }
 
   PageCheck page_check((*server)->local_address(), (*server)->port());
