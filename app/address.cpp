@@ -37,6 +37,11 @@ std::optional<SocketAddress> parse(const std::string& text, int port) {
 
 bool is_numeric_address(const std::string& text) { return parse(text, 0).has_value(); }
 
+std::string reachable_address(const std::string& listen) {
+  if (listen == "0.0.0.0") return "127.0.0.1";
+  return listen == "::" ? "::1" : listen;
+}
+
 int bind_error(const std::string& address, int port) {
   const auto parsed = parse(address, port);
   if (!parsed) return EINVAL;

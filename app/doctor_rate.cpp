@@ -1,12 +1,14 @@
 #include "app/doctor_rate.h"
 
 #include <chrono>
-#include <civetweb.h>
 #include <cstdint>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <thread>
+#include <utility>
 
+#include "app/address.h"
+#include "app/http_client.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {
@@ -15,7 +17,6 @@ namespace {
 constexpr std::int64_t kSettleNs = 500'000'000;  // the first frames wait for the exposure
 constexpr std::int64_t kTrialNs = 1'500'000'000;
 constexpr std::chrono::seconds kCountTime{1};
-constexpr int kAnswerMs = 2000;
 
 struct Taken {
   int frames = 0;
@@ -54,19 +55,9 @@ Result<float> rate_of_stream(Camera& camera) {
 }
 
 // What /status.json says now; empty where nothing, or nothing of that kind, listens.
-std::optional<nlohmann::json> status_at(const std::string& host, int port) {
-  char fault[100];
-  mg_connection* server = mg_connect_client(host.c_str(), port, 0, fault, sizeof(fault));
-  if (server == nullptr) return std::nullopt;
-  mg_printf(server, "GET /status.json HTTP/1.0\r\nHost: %s\r\n\r\n", host.c_str());
-  std::string body;
-  char part[4096];
-  int got = mg_get_response(server, fault, sizeof(fault), kAnswerMs) < 0 ? 0 : 1;
-  while (got > 0 && (got = mg_read(server, part, sizeof(part))) > 0) {
-    body.append(part, static_cast<std::size_t>(got));
-  }
-  mg_close_connection(server);
-  nlohmann::json json = nlohmann::json::parse(body, nullptr, false);
+std::optional<nlohmann::json> status_at(const std::string& address, int port) {
+  const std::optional<std::string> body = http_get(address, port, "/status.json");
+  nlohmann::json json = nlohmann::json::parse(body.value_or(""), nullptr, false);
   return json.is_object() ? std::optional(std::move(json)) : std::nullopt;
 }
 
@@ -97,12 +88,12 @@ Result<float> measure_rate(Camera& camera, const CaptureRequest& request) {
 }
 
 Result<float> served_rate(const Config& config, const std::string& uri) {
-  for (const std::string& address : listen_addresses(config.http.listen)) {
-    const std::string host = address == "0.0.0.0" ? "127.0.0.1" : address;
-    const auto first = status_at(host, config.http.port);
+  for (const std::string& listen : listen_addresses(config.http.listen)) {
+    const std::string address = reachable_address(listen);
+    const auto first = status_at(address, config.http.port);
     if (!first) continue;
     std::this_thread::sleep_for(kCountTime);
-    const auto second = status_at(host, config.http.port);
+    const auto second = status_at(address, config.http.port);
     const auto begin = count_in(*first, uri);
     const auto end = second ? count_in(*second, uri) : std::nullopt;
     if (!begin || !end || end->seconds <= begin->seconds) continue;

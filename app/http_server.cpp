@@ -280,11 +280,7 @@ std::string HttpServer::address() const {
   return "http://" + host + ":" + std::to_string(port_) + "/";
 }
 
-std::string HttpServer::local_address() const {
-  const std::string& first = options_.listen.front();
-  if (first == "0.0.0.0") return "127.0.0.1";
-  return first == "::" ? "::1" : first;
-}
+std::string HttpServer::local_address() const { return reachable_address(options_.listen.front()); }
 
 int HttpServer::log_message(const mg_connection* connection, const char* text) {
   auto* server = static_cast<HttpServer*>(mg_get_user_data(mg_get_context(connection)));
