@@ -33,6 +33,18 @@ void restart_with_environment(char** argv) {
   execv("/proc/self/exe", argv);
 }
 
+// A recipe of another command would be left out without a word.
+void require_section(const CLI::App& app, const std::string& recipe) {
+  if (recipe.empty()) return;
+  const std::string command = app.get_subcommands().front()->get_name();
+  for (const CLI::ConfigItem& item : CLI::ConfigTOML().from_file(recipe)) {
+    if (!item.parents.empty() && item.parents.front() == command) return;
+  }
+  throw CLI::ConfigError(recipe + ": nothing in it is for '" + command +
+                             "': its options stand under [" + command + "]",
+                         CLI::ExitCodes::ConfigError);
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -44,9 +56,11 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(1, 256))
       ->capture_default_str();
   lcdm::Status status;
-  app.set_config("--recipe", "",
-                 "File of options, those of a command under its name (model/recipes/)");
-  app.parse_complete_callback([&threads] {
+  const CLI::Option* recipe = app.set_config(
+      "--recipe", "", "File of options, those of a command under its name (model/recipes/)");
+  app.allow_config_extras(CLI::config_extras_mode::error);
+  app.parse_complete_callback([&] {
+    require_section(app, recipe->empty() ? "" : recipe->as<std::string>());
     at::set_num_threads(threads);
     cv::setNumThreads(1);
   });

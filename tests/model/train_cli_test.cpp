@@ -58,6 +58,9 @@ TEST_F(TrainCli, RefusesACommandLineItDoesNotUnderstand) {
   expect_refusal({"--recipe", "/nowhere.toml", "train"}, 2, "/nowhere.toml");
   expect_refusal({"--recipe", write("recipe.toml", "[train]\nsteps = \"many\"\n"), "train"}, 2,
                  "many");
+  expect_refusal({"--recipe", write("typo.toml", "[train]\nsteeps = 5\n"), "train"}, 2, "steeps");
+  expect_refusal({"--recipe", write("other.toml", "[train]\nsteps = 5\n"), "ablate"}, 2,
+                 "[ablate]");
 }
 
 TEST_F(TrainCli, RefusesACommandLineThatAsksForWhatCannotBe) {
