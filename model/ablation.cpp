@@ -231,8 +231,9 @@ std::vector<AblationRow> ablation_rows(const LossWeights& losses,
 Status ablate(const Recipe& recipe, const Data& data, const Compute& compute,
               const AblationOptions& options) {
   std::vector<Score> scores;
-  for (const AblationRow& row : ablation_rows(recipe.losses, options.tables)) {
-    for (int seed = 1; seed <= options.seeds; ++seed) {
+  // Seed by seed: one that is stopped leaves whole tables.
+  for (int seed = 1; seed <= options.seeds; ++seed) {
+    for (const AblationRow& row : ablation_rows(recipe.losses, options.tables)) {
       Recipe one = recipe;
       one.seed = static_cast<std::uint64_t>(seed);
       one.losses = row.losses;
