@@ -18,6 +18,8 @@
 #include <thread>
 #include <unistd.h>
 
+#include "app/doctor_camera.h"
+#include "app/doctor_machine.h"
 #include "app/doctor_rate.h"
 #include "app/http_server.h"
 #include "tests/firmware_pipeline/fake_camera.h"
