@@ -3,12 +3,16 @@
 # set_architecture NAME: a processor by Debian's name for it. Sets what the others read:
 #   machine    QEMU for it, without KVM
 #   console    its serial console
+#   compiler   g++ for it
 #   patience   how many times longer than amd64's every limit of time is
 set_architecture() {
   architecture=$1
   case $1 in
-    amd64) machine=(qemu-system-x86_64 -M pc -cpu max) console=ttyS0 patience=1 ;;
-    arm64) machine=(qemu-system-aarch64 -M virt,gic-version=3 -cpu cortex-a76) console=ttyAMA0 patience=3 ;;
+    amd64) machine=(qemu-system-x86_64 -M pc -cpu max) console=ttyS0 compiler=g++ patience=1 ;;
+    arm64)
+      machine=(qemu-system-aarch64 -M virt,gic-version=3 -cpu cortex-a76) console=ttyAMA0
+      compiler=aarch64-linux-gnu-g++ patience=3
+      ;;
     *) echo "unknown architecture '$1': amd64 or arm64" >&2; return 2 ;;
   esac
 }

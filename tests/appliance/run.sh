@@ -31,6 +31,7 @@ here=tests/appliance
 . $here/checks_service.sh
 . $here/checks_capture.sh
 . $here/checks_board.sh
+. $here/checks_webcam.sh
 
 finish() {
   if $keep && [[ -n $guest_pid ]]; then
@@ -58,6 +59,7 @@ check 'frame with the error flag' broken_frame
 check 'frames lost' lost_frames
 check 'fatal streaming error' recovers '. == {stream_restarts: 1}' vivid inject_fatal_streaming_error=1
 check 'stream stalls' recovers '.stream_restarts == 1 and .port_resets == null' stall
+check 'source changes its format' recovers '. == {reopenings: 1}' vivid colorspace=1
 check 'camera disconnected' recovers '. == {device_waits: 1}' vivid disconnect=1
 check 'camera refuses to start' start_is_refused
 check 'camera unplugged for seconds' camera_unplugged
@@ -87,6 +89,10 @@ if $all; then
   check 'USB: control needs the token' usb_control_is_refused
   check 'USB: an up that fails' usb_failed_up
   check 'USB: down and up' usb_down_and_up
+  check 'webcam: uvcvideo on a USB bus' webcam_comes
+  check 'webcam hangs: port reset' recovers '.port_resets == 1' webcam_hangs
+  check 'webcam unplugged' webcam_unplugged
+  check 'webcam goes' webcam_goes
   check 'libcamera: vimc' libcamera_streams
 fi
 check 'package upgrades' package_upgrades
