@@ -14,17 +14,20 @@ namespace lcdm {
 // size. A camera that knows its own intrinsics keeps them.
 class CalibratedCamera final : public Camera {
  public:
-  CalibratedCamera(std::unique_ptr<Camera> camera, Calibration calibration)
-      : camera_(std::move(camera)), calibration_(std::move(calibration)) {}
+  // `searched`: it is whichever camera is there.
+  CalibratedCamera(std::unique_ptr<Camera> camera, Calibration calibration, bool searched)
+      : camera_(std::move(camera)), calibration_(std::move(calibration)), searched_(searched) {}
 
-  // kInvalidInput also: the calibration is of another shape than the camera's pictures.
+  // kInvalidInput also: the calibration is of another shape than the camera's pictures. Of one that
+  // was searched kNotFound: the camera that it is of is not there.
   Status configure(const CaptureRequest& request) override {
     LCDM_RETURN_IF_ERROR(camera_->configure(request));
     const CameraModel own = camera_->model();
     if (own.calibrated) return Status::ok();
     const Status fits = model_for(calibration_, own.width, own.height).status();
-    if (!fits) camera_->stop();
-    return fits;
+    if (fits) return fits;
+    camera_->stop();
+    return searched_ ? Status::error(StatusCode::kNotFound, "%s", fits.text()) : fits;
   }
   CameraModel model() const override {
     const CameraModel own = camera_->model();
@@ -51,6 +54,7 @@ class CalibratedCamera final : public Camera {
  private:
   const std::unique_ptr<Camera> camera_;
   const Calibration calibration_;
+  const bool searched_;
 };
 
 }  // namespace lcdm

@@ -2,7 +2,6 @@
 
 #include <cmath>
 #include <cstdio>
-#include <filesystem>
 #include <span>
 #include <variant>
 #include <vector>
@@ -158,14 +157,7 @@ Status write_calibration(const std::string& file, const Calibration& calibration
     }
     text += field.key + (" = " + text_of(field)) + "\n";
   }
-  const std::string unfinished = file + ".new";
-  LCDM_RETURN_IF_ERROR(write_file(unfinished, std::as_bytes(std::span(text))));
-  std::error_code error;
-  std::filesystem::rename(unfinished, file, error);
-  if (!error) return Status::ok();
-  std::filesystem::remove(unfinished, error);
-  return Status::error(StatusCode::kIoError, "%s: cannot write there: give another --output",
-                       file.c_str());
+  return replace_file(file, std::as_bytes(std::span(text)));
 }
 
 Result<CameraModel> model_for(const Calibration& calibration, int width, int height) {

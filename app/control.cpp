@@ -19,7 +19,6 @@ void tell(const Status& status) {
 }  // namespace
 
 Status start_recording(const Pipeline& pipeline, Recorder& recorder) {
-  if (recorder.status().recording) return Status::ok();
   const Pipeline::Source source = pipeline.source();
   if (source.format.width == 0) {
     return Status::error(StatusCode::kUnavailable,

@@ -164,9 +164,11 @@ Finding check_hardware_watchdog(const std::string& root) {
   }
   const std::string identity = first_line(folder / "identity");
   if (first_line(folder / "state") != "active") {
-    return warning("watchdog", identity +
-                                   " is idle: RuntimeWatchdogSec=10 in /etc/systemd/"
-                                   "system.conf.d/lcdm.conf, then `systemctl daemon-reexec`");
+    return warning("watchdog",
+                   identity +
+                       " is idle: reboot once after the package was installed; without it, "
+                       "RuntimeWatchdogSec=15 in /etc/systemd/system.conf.d/lcdm.conf and "
+                       "`systemctl daemon-reexec`");
   }
   return well("watchdog", identity + " is active");
 }

@@ -16,6 +16,7 @@
 
 #include "app/address.h"
 #include "app/http_guard.h"
+#include "firmware/base/os.h"
 
 // CivetWeb makes its threads with stacks of 100 KB, of which OpenBLAS, brought by OpenCV, takes 60
 // for its thread-local data: too little room for comfort, and none under a sanitizer. It offers no
@@ -223,6 +224,7 @@ Status HttpServer::listen() {
   mg_callbacks callbacks{};
   callbacks.begin_request = &HttpServer::begin_request;
   callbacks.log_message = &HttpServer::log_message;
+  callbacks.init_thread = &HttpServer::begin_thread;
   starting_ = true;
   context_ = mg_start(&callbacks, this, settings);
   starting_ = false;
@@ -291,7 +293,16 @@ int HttpServer::log_message(const mg_connection* connection, const char* text) {
   return 1;
 }
 
+// The page waits for inference, never the reverse.
+void* HttpServer::begin_thread(const mg_context* /*context*/, int kind) {
+  constexpr int kServesRequests = 1;
+  if (kind == kServesRequests) os::lower_thread_priority(5);
+  return nullptr;
+}
+
 int HttpServer::begin_request(mg_connection* connection) {
+  // We read no body: one that is announced must not hold a thread until it has come.
+  mg_disable_connection_keep_alive(connection);
   static_cast<HttpServer*>(mg_get_user_data(mg_get_context(connection)))->handle(connection);
   return 1;  // answered here, whatever it was
 }

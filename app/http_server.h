@@ -107,6 +107,7 @@ class HttpServer {
   HttpServer(HttpOptions options, std::vector<HttpRoute> routes);
   Status listen();
   void tune_sockets() const;
+  static void* begin_thread(const mg_context* context, int kind);
   static int begin_request(mg_connection* connection);
   static int log_message(const mg_connection* connection, const char* text);
   void handle(mg_connection* connection);

@@ -12,6 +12,7 @@
 #include <system_error>
 #include <unistd.h>
 
+#include "firmware/base/folder.h"
 #include "firmware/base/os.h"
 #include "firmware/wire/foxglove.h"
 
@@ -72,6 +73,7 @@ Recorder::~Recorder() { stop(); }
 Status Recorder::start(const std::string& source, const FrameFormat& format,
                        const CameraModel& camera) {
   const std::lock_guard control(control_mutex_);
+  if (status().recording) return Status::ok();
   end();
   std::error_code error;
   fs::create_directories(options_.directory, error);
@@ -210,7 +212,8 @@ void Recorder::record_loop() {
   os::set_thread_name("record");
   os::lower_thread_priority(5);
   Status status;
-  while (status) {
+  Status room;
+  while (status && room) {
     heartbeat_.rest();
     work_.acquire();
     heartbeat_.beat(os::monotonic_ns());
@@ -220,9 +223,10 @@ void Recorder::record_loop() {
       continue;
     }
     status = write(slots_[*index].view);
+    room = file_.check_room();
     LCDM_CHECK(free_.push(*index));
   }
-  finish(status);
+  finish(status, room);
   heartbeat_.rest();
 }
 
@@ -281,10 +285,12 @@ Result<std::span<const std::byte>> Recorder::as_jpeg(const FrameView& frame) {
   return std::span<const std::byte>(jpeg_).first(*size);
 }
 
-// Completes the file; what went wrong before, or now, becomes the status.
-void Recorder::finish(const Status& status) {
+// Completes the file, also when the disk is as full as it may be; what went wrong before, or now,
+// becomes the status.
+void Recorder::finish(const Status& status, const Status& room) {
   taking_ = false;
   Status completed = status ? writer_->finish() : status;
+  if (completed) completed = room;
   if (completed && format_changed_) {
     completed = Status::error(StatusCode::kUnavailable,
                               "recording ended: the camera came back with another format; start "
@@ -303,6 +309,7 @@ Status Recorder::FileSink::open(const std::string& path, std::int64_t keep_free_
   keep_free_bytes_ = keep_free_bytes;
   fd_ = ::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0640);
   if (fd_ < 0) return Status::system(errno, "recording: cannot create %s", path.c_str());
+  sync_folder(fs::path(path).parent_path());
   return check_room();
 }
 
@@ -336,7 +343,7 @@ Status Recorder::FileSink::flush() {
   if (fstat(fd_, &file) == 0 && file.st_nlink == 0) {
     return Status::error(StatusCode::kIoError, "recording ended: %s was deleted", path_.c_str());
   }
-  return check_room();
+  return Status::ok();
 }
 
 Status Recorder::FileSink::check_room() const {

@@ -84,12 +84,12 @@ class Recorder final : public DepthSink {
     // Closes and deletes it.
     void remove();
     Status write(std::span<const std::byte> bytes) override;
-    // Also ends a recording whose file was deleted, or whose disk is as full as may be.
+    // Also ends a recording whose file was deleted.
     Status flush() override;
-
-   private:
+    // kIoError: the disk is as full as may be.
     Status check_room() const;
 
+   private:
     int fd_ = -1;
     std::int64_t keep_free_bytes_ = 0;
     std::string path_;
@@ -103,7 +103,7 @@ class Recorder final : public DepthSink {
   // With the camera's calibration: each chunk stands for itself.
   Status begin_chunk(const FrameMeta& meta);
   Result<std::span<const std::byte>> as_jpeg(const FrameView& frame);
-  void finish(const Status& status);
+  void finish(const Status& status, const Status& room);
 
   const RecorderOptions options_;
 

@@ -3,10 +3,12 @@
 #include <array>
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
 #include <future>
 #include <string>
 #include <utility>
 
+#include "firmware/base/exit_code.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {
@@ -16,6 +18,9 @@ constexpr std::chrono::milliseconds kLookPeriod{50};
 // `systemctl status` shows figures no older than this.
 constexpr std::int64_t kStatusLineNs = 10'000'000'000;
 constexpr std::int64_t kHeatPeriodNs = 1'000'000'000;
+// Whoever resets the board when its heart stops need not wait longer for a start.
+constexpr std::int64_t kLongestStartNs = 60'000'000'000;
+constexpr std::chrono::seconds kLongestEnd{1};
 
 // "streaming, 12.3 depths/s", "waiting for camera: /dev/video0 is not there".
 std::string status_line(const Judgement& now, double rate) {
@@ -44,18 +49,28 @@ Service::Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, c
   notify_.status(to_string(DeviceState::kBooting));
 }
 
-Status Service::start() {
+Status Service::start(const StopSignals& signals) {
   std::future<Status> started = std::async(std::launch::async, [this] {
     os::set_thread_name("start");
     return pipeline_.start();
   });
-  while (started.wait_for(kLookPeriod) != std::future_status::ready) {
-    show(Judgement{}, os::monotonic_ns());  // booting
+  const std::int64_t begin_ns = os::monotonic_ns();
+  while (started.wait_for(std::chrono::seconds(0)) != std::future_status::ready) {
+    Judgement booting;
+    const std::int64_t now_ns = os::monotonic_ns();
+    booting.alive = now_ns - begin_ns < kLongestStartNs;
+    show(booting, now_ns);
+    if (!signals.wait_for(kLookPeriod)) continue;
+    stopped_ = true;
+    notify_.stopping("stopping");
+    // In a driver's hands nothing but the end of the process ends it; nothing is recorded yet.
+    if (started.wait_for(kLongestEnd) != std::future_status::ready) std::_Exit(kExitOk);
   }
   return started.get();
 }
 
 Status Service::run(const StopSignals& signals) {
+  if (stopped_) return Status::ok();
   look();
   Status status;
   while (status && !signals.wait_for(kLookPeriod)) {

@@ -51,8 +51,9 @@ class Service {
   void watch_page(const Heartbeat& page) { page_ = &page; }
 
   // Starts the pipeline, which takes a slow board seconds, and shows meanwhile that the device
-  // boots.
-  Status start();
+  // boots. After a signal `run` ends at once; a start that goes on for a second more ends the
+  // process.
+  Status start(const StopSignals& signals);
   // Until a signal comes, the source ends or its recovery does; the pipeline runs meanwhile.
   // kIoError: only a new process may bring the camera back.
   Status run(const StopSignals& signals);
@@ -85,6 +86,7 @@ class Service {
   std::int64_t heat_read_ns_ = 0;
   std::array<std::uint64_t, kRecoveryRungs> said_steps_{};
   std::optional<RecoveryRung> said_rung_;  // the newest, since depth last came
+  bool stopped_ = false;                   // by a signal during the start
   bool announced_ = false;
   bool ready_said_ = false;
   std::int64_t last_ping_ns_ = 0;

@@ -120,8 +120,9 @@ Status read_toml(const std::string& file, const std::string& what,
     return use(toml::parse(stream, file));
   } catch (const toml::exception& syntax) {
     return fault(place_of(file, syntax.location()), first_line(syntax.what()));
-  } catch (const std::exception& other) {
-    return fault(file, first_line(other.what()));
+  } catch (const std::exception& other) {  // the disk, or no memory: it may pass
+    return Status::error(StatusCode::kIoError, "%s: %s", file.c_str(),
+                         first_line(other.what()).c_str());
   }
 }
 

@@ -5,12 +5,15 @@
 #include <cerrno>
 #include <csetjmp>
 #include <cstdio>
+#include <fcntl.h>
 #include <filesystem>
 #include <new>
 #include <png.h>
 #include <system_error>
+#include <unistd.h>
 
 #include "drivers/codec.h"
+#include "firmware/base/folder.h"
 
 namespace lcdm {
 namespace {
@@ -291,6 +294,24 @@ Status write_file(const std::string& path, std::span<const std::byte> bytes) {
   const int fault = written ? errno : write_errno;
   std::error_code ignored;
   if (std::filesystem::is_regular_file(path, ignored)) std::remove(path.c_str());
+  return Status::system(fault, "%s: cannot write", path.c_str());
+}
+
+Status replace_file(const std::string& path, std::span<const std::byte> bytes) {
+  const std::string unfinished = path + ".new";
+  std::remove(unfinished.c_str());
+  const int descriptor = open(unfinished.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+  File file(descriptor < 0 ? nullptr : fdopen(descriptor, "wb"), &std::fclose);
+  if (file == nullptr) return Status::system(errno, "%s: cannot write", unfinished.c_str());
+  const bool written = std::fwrite(bytes.data(), 1, bytes.size(), file.get()) == bytes.size() &&
+                       std::fflush(file.get()) == 0 && fsync(descriptor) == 0 &&
+                       std::rename(unfinished.c_str(), path.c_str()) == 0;
+  const int fault = errno;
+  if (written) {
+    sync_folder(std::filesystem::path(path).parent_path());
+    return Status::ok();
+  }
+  std::remove(unfinished.c_str());
   return Status::system(fault, "%s: cannot write", path.c_str());
 }
 

@@ -53,11 +53,14 @@ class V4l2Device {
   std::string bus_;
 };
 
+// A device's own words, which go to terminals and logs: control characters become question marks.
+std::string printable(std::string_view text);
+
 // A kernel's text field, which need not end in zero.
 template <std::size_t kSize>
 std::string bounded_text(const std::uint8_t (&field)[kSize]) {
   const std::string_view text(reinterpret_cast<const char*>(field), kSize);
-  return std::string(text.substr(0, text.find('\0')));
+  return printable(text.substr(0, text.find('\0')));
 }
 
 }  // namespace lcdm

@@ -41,7 +41,7 @@ std::string attribute(const fs::path& folder, const char* name) {
   std::ifstream file(folder / name);
   std::string line;
   std::getline(file, line);
-  return line.substr(std::min(line.find_first_not_of(' '), line.size()));
+  return printable(line.substr(std::min(line.find_first_not_of(' '), line.size())));
 }
 
 // The kernel's folder of the USB device a video node belongs to; empty: it is not on USB.

@@ -84,6 +84,13 @@ void print_mode(const V4l2Mode& mode) {
               pixel_format_of(mode.fourcc) ? "" : " (not read by lcdm)");
 }
 
+// As one word of a shell's command line.
+std::string quoted(const std::string& text) {
+  std::string result = "'";
+  for (const char letter : text) result += letter == '\'' ? "'\\''" : std::string(1, letter);
+  return result + "'";
+}
+
 void print_node(const Probed& probed, const std::vector<V4l2Node>& all) {
   const V4l2Node& node = probed.node;
   if (!node.usable) {
@@ -96,7 +103,7 @@ void print_node(const Probed& probed, const std::vector<V4l2Node>& all) {
     std::printf(", USB at %g Mb/s (made for USB %g)", static_cast<double>(node.usb_mbps),
                 static_cast<double>(node.usb_version));
   }
-  std::printf("\n    --source 'v4l2:%s'\n", lasting_selector(node, all).c_str());
+  std::printf("\n    --source %s\n", quoted("v4l2:" + lasting_selector(node, all)).c_str());
   for (const V4l2Mode& mode : probed.modes) print_mode(mode);
   if (probed.shares_buffers.value_or(false)) std::printf("    buffers can be had as dma-bufs\n");
 }

@@ -19,6 +19,7 @@ namespace {
 using std::chrono::milliseconds;
 
 constexpr milliseconds kDequeueTimeout{200};
+constexpr std::int64_t kSilenceNs = 3'000'000'000;
 constexpr double kMostSeconds = 1e9;  // 31 years
 
 struct RecordOptions {
@@ -55,9 +56,16 @@ Status record_frames(Camera& camera, Recorder& recorder, bool live, double secon
                      const StopSignals& signals, int& broken) {
   const std::int64_t end =
       seconds > 0 ? os::monotonic_ns() + static_cast<std::int64_t>(seconds * 1e9) : INT64_MAX;
+  std::int64_t last_ns = os::monotonic_ns();
+  bool told = false;
   while (os::monotonic_ns() < end && !signals.wait_for(milliseconds(0))) {
     const auto frame = camera.dequeue(kDequeueTimeout);
+    if (!told && !frame && os::monotonic_ns() - last_ns > kSilenceNs) {
+      std::fprintf(stderr, "lcdm: no picture for 3 s: is another program using the camera?\n");
+      told = true;
+    }
     if (frame) {
+      last_ns = os::monotonic_ns();
       const bool go_on = take(recorder, frame->view, live, signals);
       LCDM_RETURN_IF_ERROR(camera.requeue(frame->index));
       if (!go_on) break;
@@ -102,6 +110,10 @@ int record(const RecordOptions& options) {
   const RecorderStatus done = recorder.status();
   if (status && !done.fault.empty()) {
     status = Status::error(StatusCode::kIoError, "%s", done.fault.c_str());
+  }
+  if (status && done.frames == 0) {
+    status = Status::error(StatusCode::kTimeout, "%s: not one frame came: nothing is recorded",
+                           camera.info().uri.c_str());
   }
   if (!status) return report(status);
   std::printf("%llu frame%s, %.1f MB", static_cast<unsigned long long>(done.frames),

@@ -93,7 +93,7 @@ int run(const RunOptions& options) {
   PageCheck page_check((*server)->local_address(), (*server)->port());
   service.watch_page(page_check.heartbeat());
 
-  Status status = service.start();
+  Status status = service.start(signals);
   if (status) {
     std::printf("page    %s\n", (*server)->address().c_str());
     std::fflush(stdout);

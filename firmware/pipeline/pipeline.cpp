@@ -26,10 +26,12 @@ using std::chrono::milliseconds;
 constexpr milliseconds kLongestDequeue{300};
 constexpr milliseconds kTakeTimeout{200};
 
-// How long three frames take: a camera that gives none for so long has lost some.
+// How long three frames take: a camera that gives none for so long has lost some. A driver that
+// tells of less than the half frame a second that can be asked for is not believed: silence must be
+// judged before the supervisor does it.
 milliseconds three_periods(float frames_per_second) {
   if (frames_per_second <= 0) return milliseconds(100);
-  return milliseconds(static_cast<int>(std::clamp(3000 / frames_per_second, 30.0F, 30'000.0F)));
+  return milliseconds(static_cast<int>(std::clamp(3000 / frames_per_second, 30.0F, 6'000.0F)));
 }
 
 // Whether time or the recovery ladder may cure a camera that cannot be opened or started. Missing

@@ -124,7 +124,8 @@ class Pipeline {
   bool judge_depth();
   bool recover(Status fault);
   bool wait_before(const RecoveryStep& step);
-  Status climb(RecoveryRung rung);
+  Status climb_alive(RecoveryRung rung);
+  Status climb(RecoveryRung rung);  // on a thread of its own
   void reset_port();
   void declare(const Status& fault);
 

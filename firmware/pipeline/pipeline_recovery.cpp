@@ -1,6 +1,8 @@
 // What the capture thread does when no frame comes: judges the silence and climbs the recovery
 // ladder. The outputs stay up meanwhile and say so, with the age of the last depth.
 #include <algorithm>
+#include <cerrno>
+#include <future>
 
 #include "firmware/base/alloc_watch.h"
 #include "firmware/base/os.h"
@@ -16,9 +18,16 @@ using std::chrono::nanoseconds;
 constexpr milliseconds kPauseAfterCorrupt{5};
 // Between two looks whether the pipeline stops.
 constexpr milliseconds kNap{20};
+// What drivers may take for one step: a dead camera's controls 5 s each, a reset of its port more.
+constexpr nanoseconds kLongestStep = std::chrono::seconds(90);
 
 bool is_absence(StatusCode code) {
   return code == StatusCode::kNotFound || code == StatusCode::kDeviceGone;
+}
+
+// For the ladder. A camera that another program holds is not broken.
+StatusCode kind_of(const Status& fault) {
+  return fault.sys_errno() == EBUSY ? StatusCode::kUnavailable : fault.code();
 }
 
 }  // namespace
@@ -71,14 +80,14 @@ bool Pipeline::recover(Status fault) {
   if (!pool_) ladder_.note_nothing_open();
   while (!fault.is_ok() && !stopping_) {
     declare(fault);
-    const RecoveryStep step = ladder_.next(fault.code(), os::monotonic_ns());
+    const RecoveryStep step = ladder_.next(kind_of(fault), os::monotonic_ns());
     health_.note_recovery(step.rung);
     if (step.rung == RecoveryRung::kRestartProcess) {
       health_.set_state(PipelineState::kFault);
       return false;
     }
     if (!wait_before(step)) return true;
-    fault = climb(step.rung);
+    fault = climb_alive(step.rung);
     if (!fault) camera_.stop();
   }
   last_frame_ns_ = os::monotonic_ns();
@@ -102,6 +111,20 @@ bool Pipeline::wait_before(const RecoveryStep& step) {
     }
   }
   return !stopping_;
+}
+
+// The heart beats while a driver is at work, so that nobody kills the program on the rung that
+// would cure the camera.
+Status Pipeline::climb_alive(RecoveryRung rung) {
+  std::future<Status> climbed = std::async(std::launch::async, [this, rung] {
+    os::set_thread_name("recover");
+    return climb(rung);
+  });
+  const std::int64_t end = os::monotonic_ns() + kLongestStep.count();
+  while (climbed.wait_for(kNap) != std::future_status::ready) {
+    if (os::monotonic_ns() < end) health_.beat_capture(os::monotonic_ns());
+  }
+  return climbed.get();
 }
 
 Status Pipeline::climb(RecoveryRung rung) {

@@ -31,9 +31,11 @@ RecoveryStep RecoveryLadder::next(StatusCode fault, std::int64_t now_ns) {
   }
   const milliseconds wait = backoff();
   const int step = steps_++;
-  // A source that changed its format: what is mapped is of no use.
-  if (step == 0 && fault != StatusCode::kUnavailable) return {RecoveryRung::kRestartStream, wait};
-  const bool reset = step > 0 && step % (options_.reopenings + 1) == 0;
+  // A source that changed its format, or that another program holds: what is mapped is of no use,
+  // and its port is well.
+  if (fault == StatusCode::kUnavailable) return {RecoveryRung::kReopen, wait};
+  if (step == 0) return {RecoveryRung::kRestartStream, wait};
+  const bool reset = step % (options_.reopenings + 1) == 0;
   return {reset ? RecoveryRung::kResetPort : RecoveryRung::kReopen, wait};
 }
 

@@ -10,10 +10,12 @@
 #include <regex>
 
 #include "app/board_calibrator.h"
+#include "app/calibrated_camera.h"
 #include "app/calibration_file.h"
 #include "drivers/mcap_camera.h"
 #include "tests/app/program.h"
 #include "tests/app/rendered_board.h"
+#include "tests/firmware_pipeline/fake_camera.h"
 
 namespace lcdm {
 namespace {
@@ -200,6 +202,28 @@ TEST_F(CalibrationFile, ComesBackAsItWasWritten) {
   EXPECT_EQ(read->rms_error, written.rms_error);
   EXPECT_EQ(read->model, written.model);
   EXPECT_FALSE(write_calibration((folder_ / "nowhere" / "c.toml").string(), written));
+}
+
+TEST_F(CalibrationFile, FollowsNoLinkThatWasPlantedAtItsUnfinishedName) {
+  const std::string target = (folder_ / "precious").string();
+  std::ofstream(target) << "keep";
+  fs::create_symlink(target, file_ + ".new");
+  EXPECT_TRUE(write_calibration(file_, make_calibration()));
+  EXPECT_TRUE(read_calibration(file_));
+  std::string kept;
+  std::ifstream(target) >> kept;
+  EXPECT_EQ(kept, "keep");
+}
+
+// Another one is there, while the searched one is away.
+TEST_F(CalibrationFile, OfACameraThatIsSearchedWaitsForThatCamera) {
+  const auto configured = [](bool searched) {
+    auto camera = std::make_unique<test::FakeCamera>();
+    camera->format_of = [](int) { return FrameFormat{PixelFormat::kRgb24, 64, 36, 64 * 3}; };
+    return CalibratedCamera(std::move(camera), make_calibration(), searched).configure({}).code();
+  };
+  EXPECT_EQ(configured(false), StatusCode::kInvalidInput);
+  EXPECT_EQ(configured(true), StatusCode::kNotFound);
 }
 
 TEST_F(CalibrationFile, IsReadStrictly) {

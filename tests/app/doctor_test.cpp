@@ -335,7 +335,7 @@ TEST_F(Doctor, SeesAWatchdogThatSleeps) {
   expect(check_hardware_watchdog(root_), Severity::kWarning, "none");
   write("/sys/class/watchdog/watchdog0/identity", "i6300ESB timer\n");
   write("/sys/class/watchdog/watchdog0/state", "inactive\n");
-  expect(check_hardware_watchdog(root_), Severity::kWarning, "i6300ESB timer is idle: Runtime");
+  expect(check_hardware_watchdog(root_), Severity::kWarning, "i6300ESB timer is idle: reboot once");
   write("/sys/class/watchdog/watchdog0/state", "active\n");
   expect(check_hardware_watchdog(root_), Severity::kOk, "i6300ESB timer is active");
 }

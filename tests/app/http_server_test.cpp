@@ -248,6 +248,24 @@ TEST_F(HttpServerTest, ClientsThatStopAmidTheirRequestDoNotKeepOthersOut) {
   EXPECT_THAT(request(port_, "GET", "/hello", "Host: 127.0.0.1\r\n", 15000), EndsWith("hello"));
 }
 
+TEST_F(HttpServerTest, ClientsWhoseAnnouncedBodyNeverComesDoNotKeepOthersOut) {
+  std::vector<std::unique_ptr<RawClient>> clients;
+  for (int i = 0; i < 16; ++i) clients.push_back(std::make_unique<RawClient>(port_));
+  std::atomic<bool> stop{false};
+  for (const auto& client : clients) {
+    client->send("GET /hello HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 1000000000\r\n\r\n");
+  }
+  std::thread drip([&] {
+    while (!stop) {
+      for (const auto& client : clients) client->send("x");
+      std::this_thread::sleep_for(std::chrono::milliseconds(200));
+    }
+  });
+  EXPECT_THAT(request(port_, "GET", "/hello", "Host: 127.0.0.1\r\n", 15000), EndsWith("hello"));
+  stop = true;
+  drip.join();
+}
+
 TEST_F(HttpServerTest, AStalledViewerCostsOnlyItself) {
   RawClient stalled(port_);
   start_stream(stalled);

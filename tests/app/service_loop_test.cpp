@@ -1,10 +1,12 @@
 // The supervising loop on main: what it does, says and ends with when the camera misbehaves.
+#include <csignal>
 #include <cstdlib>
 #include <filesystem>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <string>
 #include <thread>
+#include <unistd.h>
 
 #include "app/report.h"
 #include "app/status_json.h"
@@ -27,7 +29,7 @@ class ServiceLoopTest : public test::InnerServiceTest {
   // Runs until the script ends it; gives what it said to the log.
   Status run() {
     testing::internal::CaptureStdout();
-    Status status = service_->start();
+    Status status = service_->start(signals_);
     if (status) status = service_->run(signals_);
     log_ = testing::internal::GetCapturedStdout();
     return status;
@@ -60,6 +62,30 @@ TEST_F(ServiceLoopTest, ShowsThatItBootsWhileTheEngineIsMade) {
        });
   EXPECT_EQ(run().code(), StatusCode::kInvalidInput);
   EXPECT_TRUE(looked);
+}
+
+TEST_F(ServiceLoopTest, ASignalEndsAStartThatADriverHolds) {
+  camera_.on_configure = [](int) {
+    std::this_thread::sleep_for(milliseconds(60'000));
+    return Status::ok();
+  };
+  make();
+  const auto start = [this] {
+    raise(SIGTERM);
+    static_cast<void>(service_->start(signals_));
+  };
+  EXPECT_EXIT(start(), testing::ExitedWithCode(kExitOk), "");
+}
+
+TEST_F(ServiceLoopTest, ASignalDuringTheStartIsHeardAfterIt) {
+  camera_.on_configure = [](int) {
+    kill(getpid(), SIGTERM);
+    std::this_thread::sleep_for(milliseconds(100));
+    return Status::ok();
+  };
+  make();
+  EXPECT_TRUE(run());
+  EXPECT_THAT(message("STOPPING=1"), HasSubstr("stopping"));
 }
 
 // The end of a recording waits for the disk, which may hang.
@@ -113,7 +139,7 @@ TEST_F(ServiceLoopTest, TheLastRungEndsTheProcessSoThatSystemdStartsAnother) {
   options.recovery.give_up_after = milliseconds(0);
   make(options);
   const Status status = run();
-  EXPECT_EQ(report(status), kExitFailure) << "which Restart=on-failure restarts";
+  EXPECT_EQ(report(status), kExitFailure) << "which systemd restarts";
   EXPECT_THAT(log_, HasSubstr("fault: nothing brings the camera back: fake: EIO"));
   EXPECT_THAT(message("STOPPING=1"), HasSubstr("restart: nothing brings the camera back"));
 }

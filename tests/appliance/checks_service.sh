@@ -31,13 +31,13 @@ boots_as_shipped() {
   [[ $(<"$work/shipped") == 'v4l2:any: waiting for camera' ]]
 }
 
-# As shipped 20 s; for this guest's sake only as long as one looks.
+# As shipped 15 s; for this guest's sake only as long as one looks.
 hardware_watchdog_is_set() {
   local mine=/etc/systemd/system.conf.d/zz-guest.conf shipped
   shipped=$(on_guest "mv $mine /run/ && systemctl daemon-reexec
     systemctl show -p RuntimeWatchdogUSec --value; mv /run/${mine##*/} $mine && systemctl daemon-reexec")
   echo "$shipped"
-  [[ $shipped == 20s ]]
+  [[ $shipped == 15s ]]
 }
 
 recordings_are_private() {

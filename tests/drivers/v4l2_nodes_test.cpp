@@ -7,6 +7,7 @@
 #include <sys/fsuid.h>
 
 #include "drivers/v4l2_camera.h"
+#include "drivers/v4l2_device.h"
 #include "tests/support/fake_v4l2.h"
 
 namespace lcdm {
@@ -65,6 +66,13 @@ TEST_F(V4l2NodesTest, ListsAUsableNodeWithItsName) {
   EXPECT_EQ(nodes[0].card, "fake camera");
   EXPECT_EQ(nodes[0].driver, "fake");
   EXPECT_EQ(nodes[0].usb, "") << "it is not on USB";
+}
+
+// Its maker, or whoever made it look so, decides what is in it.
+TEST(DevicesOwnWords, SteerNoTerminal) {
+  EXPECT_EQ(printable("Cam\x1b]0;x\x07\n\x7f"), "Cam?]0;x???");
+  EXPECT_EQ(printable("Cam\xC2\x9B 2"), "Cam\xC2? 2") << "a control character of two bytes";
+  EXPECT_EQ(printable("Cam\xC3\xA9ra"), "Cam\xC3\xA9ra");
 }
 
 TEST_F(V4l2NodesTest, KnowsTheUsbDeviceBehindANode) {

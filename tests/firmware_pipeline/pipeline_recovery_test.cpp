@@ -278,6 +278,44 @@ TEST_F(BrokenCameraTest, APortResetComesAfterReopeningAndCures) {
   EXPECT_EQ(health().resets_skipped, 0U);
 }
 
+// The kernel takes seconds for a device that does not answer.
+TEST_F(BrokenCameraTest, AStepThatTakesLongLetsTheHeartBeat) {
+  std::atomic<std::int64_t> oldest_ns{0};
+  port_.on_reset = [&] {
+    for (int i = 0; i < 20; ++i) {
+      std::this_thread::sleep_for(milliseconds(50));
+      oldest_ns = std::max<std::int64_t>(oldest_ns, health().capture_heartbeat_age_ns);
+    }
+    broken = false;
+    return Status::ok();
+  };
+  start(options_);
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_LT(oldest_ns, 500'000'000) << "of a second";
+}
+
+// Other than one that is broken.
+TEST_F(BrokenCameraTest, ThePortOfOneThatAnotherProgramHoldsIsNotReset) {
+  camera_.on_dequeue = [this](int) {
+    return broken ? Status::system(EBUSY, "fake: held") : Status::ok();
+  };
+  start(options_);
+  ASSERT_TRUE(eventually([&] { return steps_on(RecoveryRung::kReopen) >= 8; }));
+  broken = false;
+  ASSERT_TRUE(reaches(PipelineState::kStreaming));
+  EXPECT_EQ(port_.resets, 0);
+}
+
+// As a driver may tell of its longest exposure.
+TEST_F(BrokenCameraTest, SilenceIsJudgedThoughTheDriverTellsOfALowRate) {
+  camera_.frames_per_second = 0.01F;
+  camera_.on_dequeue = [](int) { return Status::error(StatusCode::kTimeout, "fake: silence"); };
+  start(options_);
+  const std::int64_t begin_ns = os::monotonic_ns();
+  ASSERT_TRUE(reaches(PipelineState::kNoSignal));
+  EXPECT_LT(os::monotonic_ns() - begin_ns, 9'000'000'000) << "before the supervisor gives up";
+}
+
 TEST_F(BrokenCameraTest, APortThatMayNotBeResetIsPassedOver) {
   port_.on_reset = [] { return Status::system(EACCES, "fake: not allowed"); };
   start(options_);

@@ -63,6 +63,10 @@ TEST_F(RecoveryLadderTest, ASourceThatChangedIsReopenedAtOnce) {
   EXPECT_EQ(rung_after(StatusCode::kUnavailable), Rung::kReopen);
 }
 
+TEST_F(RecoveryLadderTest, ThePortUnderAnotherProgramIsLeftAlone) {
+  EXPECT_EQ(rungs_after(StatusCode::kUnavailable, 20), std::vector<Rung>(20, Rung::kReopen));
+}
+
 TEST_F(RecoveryLadderTest, WaitsTwiceAsLongEachTimeUpToASecond) {
   std::vector<int> waits;
   for (int i = 0; i < 7; ++i) {
