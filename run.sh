@@ -9,12 +9,14 @@
 #   ./run.sh mcap:recordings/     what `lcdm record` wrote
 #
 # Everything after the source goes to `lcdm run`: ./run.sh scene: --listen 0.0.0.0
+# Where the package is installed, its /etc/lcdm/lcdm.toml counts here too. Beside the running service,
+# with a port of its own: ./run.sh --source auto --port 8081
 set -euo pipefail
 root=$(dirname "$(realpath "$0")")
 
 case ${1:-} in
   -h | --help)
-    sed -n '2,11s/^# \{0,1\}//p' "$0"
+    sed -n '2,13s/^# \{0,1\}//p' "$0"
     exit 0
     ;;
 esac

@@ -1,5 +1,6 @@
 // What can be configured. systemd/lcdm.toml is the manual: every key, its default (but for the
-// source), its meaning; a test holds that file and this struct to each other.
+// source and the addresses, which are an installed device's own), its meaning; a test holds that
+// file and this struct to each other.
 #pragma once
 
 #include <string>
@@ -34,7 +35,7 @@ struct Config {
     std::string precision = "fp32";
   } model;
   struct Http {
-    std::string listen = "127.0.0.1";
+    std::string listen = "127.0.0.1";  // the shipped file adds the cable's address
     int port = 8080;
     int max_clients = 8;
     std::string token_file;

@@ -12,11 +12,13 @@ for file in usr/bin/lcdm usr/share/lcdm/lcdm-xxs.safetensors usr/libexec/lcdm/us
   etc/lcdm/lcdm.toml lib/systemd/system/lcdm.service lib/systemd/system/lcdm-poweroff.path \
   lib/systemd/system/lcdm-usb.service lib/udev/rules.d/70-lcdm.rules usr/lib/sysusers.d/lcdm.conf \
   usr/lib/tmpfiles.d/lcdm.conf usr/lib/systemd/system.conf.d/lcdm-watchdog.conf \
-  usr/lib/systemd/network/70-lcdm-usb.network usr/share/doc/lcdm/copyright; do
+  usr/lib/systemd/network/70-lcdm-usb.network usr/share/doc/lcdm/copyright \
+  usr/share/doc/lcdm/README.md usr/share/doc/lcdm/app.md usr/share/doc/lcdm/device.md \
+  usr/share/doc/lcdm/weights.md; do
   grep -qx "./$file" <<<"$contents" || fail "no /$file"
 done
 # Nothing of a developer's machine, nothing where an administrator keeps things.
-grep -E '^\./(home|root|work|opt|usr/local|var)/' <<<"$contents" && fail 'files that belong elsewhere'
+grep -E '^\./(home|root|opt|usr/local|var)/' <<<"$contents" && fail 'files that belong elsewhere'
 
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
