@@ -89,11 +89,13 @@ Result<CapturedFrame> McapCamera::dequeue(std::chrono::milliseconds timeout) {
                          "file could not be opened",
                          path_.c_str());
   }
-  if (!has_pending_) LCDM_RETURN_IF_ERROR(fetch());
+  std::int64_t due = os::monotonic_ns();
+  const std::int64_t deadline =
+      due + std::chrono::duration_cast<std::chrono::nanoseconds>(timeout).count();
+  if (!has_pending_) LCDM_RETURN_IF_ERROR(fetch(deadline));
   int index = -1;
   Slot* slot = find_free_slot(index);
 
-  std::int64_t due = os::monotonic_ns();
   if (playback_ == Playback::kLive) {
     if (play_origin_ns_ == 0) {
       play_origin_ns_ = due;
@@ -102,8 +104,6 @@ Result<CapturedFrame> McapCamera::dequeue(std::chrono::milliseconds timeout) {
     due = std::max(play_origin_ns_ + (pending_meta_.unix_ns - recorded_origin_ns_),
                    last_due_ns_ + kShortestStepNs);
   }
-  const std::int64_t deadline =
-      os::monotonic_ns() + std::chrono::duration_cast<std::chrono::nanoseconds>(timeout).count();
   const std::int64_t until = slot == nullptr ? deadline : std::min(due, deadline);
   std::this_thread::sleep_for(std::chrono::nanoseconds(until - os::monotonic_ns()));
   if (slot == nullptr || due > deadline) {
@@ -187,9 +187,13 @@ Result<wire::McapMessage> McapCamera::next_message() {
   }
 }
 
-// Reads on until the next picture lies in pending_.
-Status McapCamera::fetch() {
-  while (true) {
+// Reads on until the next picture lies in pending_. kTimeout: others' messages lay before it for
+// too long; the next call goes on there.
+Status McapCamera::fetch(std::int64_t deadline_ns) {
+  for (bool first = true;; first = false) {
+    if (!first && os::monotonic_ns() > deadline_ns) {
+      return Status::error(StatusCode::kTimeout, "mcap:%s: no picture yet", path_.c_str());
+    }
     const auto message = next_message();
     if (message.code() == StatusCode::kEndOfStream && playback_ == Playback::kLive &&
         round_delivered_) {
@@ -224,8 +228,8 @@ Status McapCamera::fetch() {
 
 // Learns size and intrinsics from the first readable picture.
 Status McapCamera::inspect_first_frame(float assumed_field_of_view) {
-  Status status = fetch();
-  while (status.code() == StatusCode::kCorrupt) status = fetch();
+  Status status = fetch(INT64_MAX);
+  while (status.code() == StatusCode::kCorrupt) status = fetch(INT64_MAX);
   if (!status) {
     return Status::error(StatusCode::kInvalidInput, "mcap:%s: no JPEG pictures in it (%s)",
                          path_.c_str(), status.text());

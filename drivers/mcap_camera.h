@@ -47,7 +47,7 @@ class McapCamera final : public Camera {
   // one's fault where none can.
   Status open_readable_segment(std::size_t index);
   Result<wire::McapMessage> next_message();
-  Status fetch();
+  Status fetch(std::int64_t deadline_ns);
   Status inspect_first_frame(float assumed_field_of_view);
   Slot* find_free_slot(int& index);
 

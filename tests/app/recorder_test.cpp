@@ -126,6 +126,27 @@ TEST_F(RecorderTest, ARecordingPlaysBackAsASourceWithItsStampsAndIntrinsics) {
   EXPECT_EQ(camera.dequeue(milliseconds(10)).code(), StatusCode::kEndOfStream);
 }
 
+// Each chunk begins with a calibration; a foreign recording may have gigabytes between two
+// pictures.
+TEST_F(RecorderTest, WhateverLiesBeforeAPictureItIsWaitedForNoLongerThanAsked) {
+  Recorder recorder(options());
+  record(recorder, 25);
+  McapCamera camera(folder_.string(), McapCamera::Playback::kOffline);
+  ASSERT_TRUE(camera.configure({}));
+  ASSERT_TRUE(camera.start());
+  int pictures = 0;
+  int timeouts = 0;
+  while (true) {
+    const auto played = camera.dequeue(milliseconds(0));
+    if (played.code() == StatusCode::kEndOfStream) break;
+    played ? ++pictures : ++timeouts;
+    ASSERT_LT(timeouts, 100) << played.status().text();
+    ASSERT_TRUE(!played || camera.requeue(played->index));
+  }
+  EXPECT_EQ(pictures, 25);
+  EXPECT_EQ(timeouts, 3) << "a chunk each";
+}
+
 // Record, stop, record an hour later into the same folder: played live, the hour is skipped.
 TEST_F(RecorderTest, LivePlaybackSkipsTheTimeBetweenTwoRecordings) {
   Recorder recorder(options());
