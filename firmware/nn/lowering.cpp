@@ -302,9 +302,9 @@ class Lowering {
     Result<std::span<float>> sums =
         constants_.add(rows * 2 * static_cast<std::size_t>(out.channels));
     if (!sums) return sums.status();
-    args.row_sums = sums->data();
+    args.row_moments = sums->data();
     const auto sum = [](const kernels::GroupNorm& a, int begin, int end, float*) {
-      kernels::group_norm_sums(a, begin, end);
+      kernels::group_norm_moments(a, begin, end);
     };
     const auto apply = [](const kernels::GroupNorm& a, int begin, int end, float*) {
       kernels::group_norm_apply(a, begin, end);
