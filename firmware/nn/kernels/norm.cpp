@@ -50,6 +50,19 @@ void layer_norm(const LayerNorm& norm, int begin, int end) {
   }
 }
 
+// Sum of f(x) over a row, in four sums that need not wait for each other.
+template <class D, class F>
+HWY_INLINE hn::Vec<D> sum_of_row(D d, int width, F&& f) {
+  hn::Vec<D> sum[4];
+  LCDM_UNROLL for (int i = 0; i < 4; ++i) sum[i] = hn::Zero(d);
+  int x = 0;
+  for (; x + 4 <= width; x += 4) {
+    LCDM_UNROLL for (int i = 0; i < 4; ++i) sum[i] = hn::Add(sum[i], f(x + i));
+  }
+  for (; x < width; ++x) sum[0] = hn::Add(sum[0], f(x));
+  return hn::Add(hn::Add(sum[0], sum[1]), hn::Add(sum[2], sum[3]));
+}
+
 // Squares of the differences from the row's own mean, not of the values: where these are all alike,
 // sums of squares differ by less than their rounding.
 void row_moments(const GroupNorm& norm, int begin, int end) {
@@ -59,17 +72,15 @@ void row_moments(const GroupNorm& norm, int begin, int end) {
     const float* in = norm.input + static_cast<std::size_t>(y) * norm.width * channels;
     float* moments = norm.row_moments + static_cast<std::size_t>(y) * 2 * channels;
     for_channels(channels, [&](auto d, std::size_t c) HWY_ATTR {
-      const auto first = hn::LoadU(d, in + c);  // sums of what is left of it are small
-      auto sum = hn::Zero(d);
-      for (int x = 1; x < norm.width; ++x) {
-        sum = hn::Add(sum, hn::Sub(hn::LoadU(d, in + x * channels + c), first));
-      }
+      const auto value = [&](int x) HWY_ATTR { return hn::LoadU(d, in + x * channels + c); };
+      const auto first = value(0);  // sums of what is left of it are small
+      const auto sum =
+          sum_of_row(d, norm.width, [&](int x) HWY_ATTR { return hn::Sub(value(x), first); });
       const auto mean = hn::MulAdd(sum, hn::Set(d, share), first);
-      auto squares = hn::Zero(d);
-      for (int x = 0; x < norm.width; ++x) {
-        const auto v = hn::Sub(hn::LoadU(d, in + x * channels + c), mean);
-        squares = hn::MulAdd(v, v, squares);
-      }
+      const auto squares = sum_of_row(d, norm.width, [&](int x) HWY_ATTR {
+        const auto v = hn::Sub(value(x), mean);
+        return hn::Mul(v, v);
+      });
       hn::StoreU(mean, d, moments + c);
       hn::StoreU(hn::Mul(squares, hn::Set(d, share)), d, moments + channels + c);
     });
