@@ -12,6 +12,20 @@
 #include "firmware/base/os.h"
 
 namespace lcdm {
+namespace {
+
+// More threads than processors only wait for each other.
+void fit_threads(Config& config) {
+  const int processors = os::processor_count();
+  if (config.model.threads <= processors) return;
+  std::fprintf(stderr,
+               "warning: model.threads = %d, but this program may use %d processor%s: as many "
+               "threads are used\n",
+               config.model.threads, processors, processors == 1 ? "" : "s");
+  config.model.threads = processors;
+}
+
+}  // namespace
 
 void CommonOptions::add_to(CLI::App& command) {
   command.add_option("--config", config_file, "Configuration file (default: /etc/lcdm/lcdm.toml)")
@@ -33,7 +47,9 @@ Result<Config> CommonOptions::load(std::vector<ConfigAssignment> more) const {
     sources.assignments.push_back({text, "--set " + text});
   for (ConfigAssignment& assignment : more) sources.assignments.push_back(std::move(assignment));
   if (!model.empty()) sources.assignments.push_back({"model.file=" + model, "--model " + model});
-  return load_config(sources);
+  Result<Config> config = load_config(sources);
+  if (config) fit_threads(*config);
+  return config;
 }
 
 std::string find_default_model() {

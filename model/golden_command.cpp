@@ -11,7 +11,8 @@
 namespace lcdm::model {
 namespace {
 
-// A layer larger than this is kept as evenly spaced samples of it, so that fixtures stay small.
+// A layer larger than this is kept as about so many evenly spaced samples of it, so that fixtures
+// stay small.
 constexpr int64_t kSamples = 512;
 
 struct Options {
@@ -22,10 +23,11 @@ struct Options {
   int height = 64;
 };
 
-// Every n-th value of the tensor laid out as the engine keeps it: [height, width, channels].
+// Every n-th value of the tensor laid out as the engine keeps it: [height, width, channels]. n is
+// odd: channels are mostly even in number, and every one of them must have its turn.
 torch::Tensor sampled(const torch::Tensor& nchw) {
   const torch::Tensor flat = nchw.permute({0, 2, 3, 1}).reshape({-1});
-  const int64_t stride = std::max<int64_t>(1, flat.numel() / kSamples);
+  const int64_t stride = (flat.numel() / kSamples) | 1;
   return flat.slice(0, 0, flat.numel(), stride).contiguous();
 }
 

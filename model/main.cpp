@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include "firmware/base/exit_code.h"
+#include "firmware/nn/kernels/isa.h"
 #include "model/commands.h"
 #include "model/torch.h"
 
@@ -45,10 +46,20 @@ void require_section(const CLI::App& app, const std::string& recipe) {
                          CLI::ExitCodes::ConfigError);
 }
 
+// LCDM_ISA=NAME, as for lcdm: where commands run the engine.
+lcdm::Status choose_isa() {
+  const char* name = std::getenv("LCDM_ISA");
+  return name == nullptr ? lcdm::Status::ok() : lcdm::kernels::force_isa(name);
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
   restart_with_environment(argv);
+  if (const lcdm::Status status = choose_isa(); !status) {
+    std::fprintf(stderr, "lcdm-train: %s\n", status.text());
+    return lcdm::kExitUsage;
+  }
   CLI::App app("Trains, evaluates and exports LCDM-Mono networks");
   app.require_subcommand(1);
   int threads = 2;

@@ -242,10 +242,10 @@ class Cases {
     norm.input = values(count);
     norm.weight = values(norm.channels);
     norm.bias = values(norm.channels);
-    norm.row_sums = values(product({norm.height, 2, norm.channels}));
+    norm.row_moments = values(product({norm.height, 2, norm.channels}));
     norm.output = values(count);
     add({"group norm 16, 640x192", Precision::kFloat32, 0, float_bytes(3 * count), [=] {
-           kernels::group_norm_sums(norm, 0, norm.height);
+           kernels::group_norm_moments(norm, 0, norm.height);
            kernels::group_norm_apply(norm, 0, norm.height);
          }});
   }

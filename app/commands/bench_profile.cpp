@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware/nn/kernels/matrix.h"
 #include "firmware/nn/kernels/peak.h"
 
 namespace lcdm {
@@ -23,8 +24,11 @@ void print_part(const Part& part, double all_ms, double peak) {
   const double rate = part.ms > 0 ? part.macs / (part.ms * 1e6) : 0;
   std::printf("%-42s %-10s %8.3f %6.1f%%", part.name.c_str(), part.kind, part.ms,
               100 * part.ms / all_ms);
-  if (part.macs > 0) std::printf(" %9.1f %6.0f%%", 2 * rate, 100 * rate / peak);
-  std::printf("\n");
+  if (part.macs > 0) {
+    std::printf(" %9.1f %6.0f%%\n", 2 * rate, 100 * rate / peak);
+  } else {
+    std::printf(" %9s %7s\n", "-", "-");
+  }
 }
 
 }  // namespace
@@ -48,7 +52,9 @@ void print_profile(const Engine& engine, const EngineProfile& profile, int frame
 
   const double all_ms = std::accumulate(parts.begin(), parts.end(), 0.0,
                                         [](double sum, const Part& part) { return sum + part.ms; });
-  const double peak = kernels::peak_gmacs() * engine.stats().threads;
+  const EngineStats stats = engine.stats();
+  const double peak =
+      kernels::peak_gmacs() * stats.threads * kernels::numbers_per_word(stats.precision);
   std::printf("\n%-42s %-10s %8s %7s %9s %7s\n", "part", "kind", "ms", "share", "GFLOP/s", "limit");
   Part rest{"(all others)", "", 0, 0};
   Part all{"frame", "", 0, 0};
@@ -64,8 +70,12 @@ void print_profile(const Engine& engine, const EngineProfile& profile, int frame
   }
   print_part(rest, all_ms, peak);
   print_part(all, all_ms, peak);
-  std::printf("limit      %.0f GFLOP/s: %d thread(s) of independent vector multiply-adds\n",
-              2 * peak, engine.stats().threads);
+  std::printf("limit      %.0f GFLOP/s: %d thread(s) of independent vector multiply-adds in %s\n",
+              2 * peak, stats.threads, to_string(stats.precision));
+  std::printf("-          moves and scales numbers: no multiply-adds are counted\n");
+  if (stats.precision == Precision::kFloat32) return;
+  std::printf("           what stays in floats can reach 1/%d of the limit\n",
+              kernels::numbers_per_word(stats.precision));
 }
 
 }  // namespace lcdm

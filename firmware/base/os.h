@@ -45,7 +45,7 @@ int processor_count();
 // Largest resident set of this process so far, bytes.
 std::size_t peak_rss_bytes();
 
-// Minor plus major page faults of the calling thread so far.
-std::int64_t thread_page_faults();
+// Minor plus major page faults of all threads of this process so far.
+std::int64_t page_faults();
 
 }  // namespace lcdm::os

@@ -8,8 +8,7 @@ namespace lcdm {
 
 Result<std::span<float>> ConstantStore::add(std::size_t count) {
   constexpr std::size_t kBlockBytes = 1U << 20;
-  constexpr std::size_t kAlignment = MemoryPlan::kAlignment;
-  const std::size_t bytes = (count * sizeof(float) + kAlignment - 1) / kAlignment * kAlignment;
+  const std::size_t bytes = MemoryPlan::aligned(count * sizeof(float));
   if (blocks_.empty() || blocks_.back().bytes() - used_ < bytes) {
     Result<Arena> block = Arena::allocate(std::max(bytes, kBlockBytes));
     if (!block) return block.status();

@@ -1,4 +1,5 @@
-// A small JSON reader for untrusted text (RFC 8259): model headers and their metadata.
+// A small JSON reader for untrusted text (RFC 8259): model headers and their metadata. Its strings
+// may be printed: one with a control character, however it is written, is refused.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,6 @@
 // From a typed layer to kernel calls: the CPU's half of Program.
 #include <algorithm>
+#include <type_traits>
 #include <utility>
 
 #include "firmware/nn/kernels/attention.h"
@@ -17,17 +18,22 @@
 namespace lcdm {
 namespace {
 
-// A kernel that computes `items` rows (or other units) of its output independently: each worker
-// gets one run of them, cut at multiples of `grain`.
+// A kernel that computes `items` rows (or other units) of its output independently, with scratch or
+// without: each worker gets one run of them, cut at multiples of `grain`.
 template <typename Args, typename Kernel>
 class SlicedStep final : public Step {
  public:
   SlicedStep(const Args& args, Kernel kernel, int items, int grain, std::size_t scratch_floats)
       : args_(args), kernel_(kernel), items_(items), grain_(grain), scratch_(scratch_floats) {}
 
-  void run(int worker, int workers, float* scratch) const noexcept override {
+  void run(int worker, int workers, [[maybe_unused]] float* scratch) const noexcept override {
     const Slice slice = slice_of(items_, worker, workers, grain_);
-    if (slice.begin < slice.end) kernel_(args_, slice.begin, slice.end, scratch);
+    if (slice.begin >= slice.end) return;
+    if constexpr (std::is_invocable_v<const Kernel&, const Args&, int, int>) {
+      kernel_(args_, slice.begin, slice.end);
+    } else {
+      kernel_(args_, slice.begin, slice.end, scratch);
+    }
   }
   std::size_t scratch_floats() const override { return scratch_; }
 
@@ -50,7 +56,6 @@ class Lowering {
         output_(tensors[static_cast<std::size_t>(index)].data()),
         tensors_(tensors),
         depth_scale_(options.depth_scale),
-        constants_(constants),
         weights_(model, constants, options.precision),
         steps_(steps) {}
 
@@ -122,7 +127,7 @@ class Lowering {
     args.input = {{input()}, 1, depth, depth, layer_.output.height * layer_.output.width};
     args.output = {output_, layer_.residual >= 0 ? data(layer_.residual) : nullptr, columns,
                    layer_.activation};
-    const auto kernel = [](const MatrixArgs& a, int begin, int end, float*) {
+    const auto kernel = [](const MatrixArgs& a, int begin, int end) {
       MatrixArgs part = a;
       part.input.run[0] += begin * a.input.stride;
       part.input.rows = end - begin;
@@ -237,10 +242,7 @@ class Lowering {
     const Shape& out = layer_.output;
     const kernels::Resize args = {input(),   in.height,    in.width, out.height,
                                   out.width, out.channels, output_};
-    const auto kernel = [](const kernels::Resize& a, int begin, int end, float*) {
-      kernels::resize_rows(a, begin, end);
-    };
-    return add_step(args, kernel, out.height);
+    return add_step(args, &kernels::resize_rows, out.height);
   }
 
   struct PatchArgs {
@@ -254,7 +256,7 @@ class Lowering {
     const bool unfold = layer_.kind == LayerKind::kUnfold;
     const Shape& image = unfold ? input_shape() : layer_.output;
     const PatchArgs args = {{image.height, image.width, image.channels}, input(), output_, unfold};
-    const auto kernel = [](const PatchArgs& a, int begin, int end, float*) {
+    const auto kernel = [](const PatchArgs& a, int begin, int end) {
       const auto move = a.unfold ? &kernels::unfold_rows : &kernels::fold_rows;
       move(a.patches, a.from, a.to, begin, end);
     };
@@ -269,10 +271,7 @@ class Lowering {
     args.output = output_;
     LCDM_RETURN_IF_ERROR(weights_.store(layer_.parameters[0], args.weight));
     LCDM_RETURN_IF_ERROR(weights_.store(layer_.parameters[1], args.bias));
-    const auto kernel = [](const kernels::LayerNorm& a, int begin, int end, float*) {
-      kernels::layer_norm_rows(a, begin, end);
-    };
-    return add_step(args, kernel, layer_.output.height * layer_.output.width);
+    return add_step(args, &kernels::layer_norm_rows, layer_.output.height * layer_.output.width);
   }
 
   Status attention() {
@@ -298,19 +297,9 @@ class Lowering {
     args.output = output_;
     LCDM_RETURN_IF_ERROR(weights_.store(layer_.parameters[0], args.weight));
     LCDM_RETURN_IF_ERROR(weights_.store(layer_.parameters[1], args.bias));
-    const auto rows = static_cast<std::size_t>(out.height);
-    Result<std::span<float>> sums =
-        constants_.add(rows * 2 * static_cast<std::size_t>(out.channels));
-    if (!sums) return sums.status();
-    args.row_sums = sums->data();
-    const auto sum = [](const kernels::GroupNorm& a, int begin, int end, float*) {
-      kernels::group_norm_sums(a, begin, end);
-    };
-    const auto apply = [](const kernels::GroupNorm& a, int begin, int end, float*) {
-      kernels::group_norm_apply(a, begin, end);
-    };
-    LCDM_RETURN_IF_ERROR(add_step(args, sum, out.height));
-    return add_step(args, apply, out.height);
+    args.row_moments = output_ + out.count();  // the plan leaves room for them
+    LCDM_RETURN_IF_ERROR(add_step(args, &kernels::group_norm_moments, out.height));
+    return add_step(args, &kernels::group_norm_apply, out.height);
   }
 
   Status make_head_step(const Layer& layer, kernels::HeadStep& out) {
@@ -331,10 +320,7 @@ class Lowering {
     kernels::HeadStep args;
     LCDM_RETURN_IF_ERROR(make_head_step(layer_, args));
     args.hidden = output_;
-    const auto kernel = [](const kernels::HeadStep& a, int begin, int end, float*) {
-      kernels::head_hidden_rows(a, begin, end);
-    };
-    return add_step(args, kernel, args.height);
+    return add_step(args, &kernels::head_hidden_rows, args.height);
   }
 
   Status update() {
@@ -363,10 +349,7 @@ class Lowering {
     const ModelConfig& config = network_.config();
     const kernels::ToDepth args = {input(), static_cast<float>(config.variable_std),
                                    static_cast<float>(config.variable_mean), depth_scale_, output_};
-    const auto kernel = [](const kernels::ToDepth& a, int begin, int end, float*) {
-      kernels::depth_range(a, begin, end);
-    };
-    return add_step(args, kernel, layer_.output.height * layer_.output.width, 64);
+    return add_step(args, &kernels::depth_range, layer_.output.height * layer_.output.width, 64);
   }
 
   const Network& network_;
@@ -375,7 +358,6 @@ class Lowering {
   float* output_;
   const std::vector<std::span<float>>& tensors_;
   float depth_scale_;
-  ConstantStore& constants_;
   WeightStore weights_;
   std::vector<std::unique_ptr<Step>>& steps_;
 };

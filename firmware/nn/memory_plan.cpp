@@ -6,10 +6,6 @@
 namespace lcdm {
 namespace {
 
-std::size_t aligned(std::size_t bytes) {
-  return (bytes + MemoryPlan::kAlignment - 1) / MemoryPlan::kAlignment * MemoryPlan::kAlignment;
-}
-
 bool live_together(const Lifetime& a, const Lifetime& b) {
   return a.first <= b.last && b.first <= a.last;
 }
@@ -46,11 +42,11 @@ MemoryPlan plan_memory(std::span<const Lifetime> lifetimes) {
     for (const std::size_t other : placed) {
       if (!live_together(lifetimes[block], lifetimes[other])) continue;
       const std::size_t begin = plan.offsets[other];
-      taken.push_back({begin, begin + aligned(lifetimes[other].bytes)});
+      taken.push_back({begin, begin + MemoryPlan::aligned(lifetimes[other].bytes)});
     }
     std::sort(taken.begin(), taken.end(),
               [](const Range& a, const Range& b) { return a.begin < b.begin; });
-    const std::size_t bytes = aligned(lifetimes[block].bytes);
+    const std::size_t bytes = MemoryPlan::aligned(lifetimes[block].bytes);
     plan.offsets[block] = first_gap(taken, bytes);
     plan.bytes = std::max(plan.bytes, plan.offsets[block] + bytes);
     placed.push_back(block);

@@ -17,6 +17,11 @@ struct Lifetime {
 struct MemoryPlan {
   static constexpr std::size_t kAlignment = 64;  // bytes: a cache line, the widest vector
 
+  // The next multiple of it.
+  static constexpr std::size_t aligned(std::size_t bytes) {
+    return (bytes + kAlignment - 1) / kAlignment * kAlignment;
+  }
+
   std::vector<std::size_t> offsets;  // one per lifetime, multiples of kAlignment
   std::size_t bytes = 0;             // of the whole, a multiple of kAlignment
 };

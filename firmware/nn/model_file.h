@@ -35,7 +35,8 @@ class ModelFile {
 
   // Checks everything that can be checked without knowing the network: header and metadata within
   // limits, known types, shapes that match their bytes, offsets aligned, in range, without overlap
-  // or gap, every value finite. kCorrupt or kInvalidInput otherwise.
+  // or gap, every value finite. kCorrupt or kInvalidInput otherwise; kUnsupported: metadata of a
+  // version we do not know.
   static Result<ModelFile> parse(std::vector<std::byte> bytes);
 
   const ModelConfig& config() const { return config_; }

@@ -23,6 +23,7 @@ const char* to_string(StartKind start);
 // The JSON under `lcdm` in the model file's metadata (NETWORK.md, "The model file").
 struct ModelConfig {
   static constexpr int kDiffusionSteps = 150;  // T of the noise schedule
+  static constexpr int kMaxChannels = 512;     // of decoder and condition
 
   EncoderKind encoder = EncoderKind::kXs;
   PresetKind preset = PresetKind::kLcdm;

@@ -22,6 +22,15 @@ std::vector<int> moments_of(const Network& network) {
   return moments;
 }
 
+// Of a layer's output and, behind it, of what its kernels keep from one phase to the next: group
+// norm's moments of each row.
+std::size_t bytes_of(const Layer& layer) {
+  const Shape& out = layer.output;
+  const bool has_moments = layer.kind == LayerKind::kGroupNorm;
+  const int moments = has_moments ? 2 * out.height * out.channels : 0;
+  return (out.count() + static_cast<std::size_t>(moments)) * sizeof(float);
+}
+
 }  // namespace
 
 NetworkPlan plan_network(const Network& network, bool keep_tensors) {
@@ -32,7 +41,7 @@ NetworkPlan plan_network(const Network& network, bool keep_tensors) {
   for (int i = 0; i <= end; ++i) {
     const Layer& layer = network.layer(i);
     const bool in_arena = layer.kind != LayerKind::kStart && (layer.stored || keep_tensors);
-    const std::size_t bytes = in_arena ? layer.output.count() * sizeof(float) : 0;
+    const std::size_t bytes = in_arena ? bytes_of(layer) : 0;
     plan.lifetimes.push_back({bytes, keep_tensors ? 0 : i, keep_tensors ? end : i});
     const auto used_here = [&](int input) {
       int& last = plan.lifetimes[static_cast<std::size_t>(input)].last;

@@ -8,10 +8,6 @@
 namespace lcdm {
 namespace {
 
-std::size_t aligned(std::size_t bytes) {
-  return (bytes + MemoryPlan::kAlignment - 1) / MemoryPlan::kAlignment * MemoryPlan::kAlignment;
-}
-
 // The sampler's start, as a constant.
 Result<std::span<float>> make_start(const Network& network, ConstantStore& constants) {
   const std::size_t count =
@@ -54,7 +50,8 @@ Result<Program> Program::build(const Network& network, const ModelFile& model,
 
   std::size_t scratch_bytes = 0;
   for (const auto& step : program.steps_) {
-    scratch_bytes = std::max(scratch_bytes, aligned(step->scratch_floats() * sizeof(float)));
+    scratch_bytes =
+        std::max(scratch_bytes, MemoryPlan::aligned(step->scratch_floats() * sizeof(float)));
   }
   Result<Arena> scratch =
       Arena::allocate(scratch_bytes * static_cast<std::size_t>(options.workers));

@@ -71,8 +71,8 @@ class Program {
   std::vector<std::size_t> layer_of_step_;
 };
 
-// Appends to `steps` what computes layer `index` (nothing for input and start); packs its weights
-// into `constants`. `tensors` holds every layer's output.
+// Appends to `steps` what computes layer `index` (nothing for input, start and what its reader
+// computes); packs its weights into `constants`. `tensors` holds every layer's output.
 Status lower_layer(const Network& network, int index, const ModelFile& model,
                    const std::vector<std::span<float>>& tensors, const LoweringOptions& options,
                    ConstantStore& constants, std::vector<std::unique_ptr<Step>>& steps);

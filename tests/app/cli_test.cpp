@@ -12,6 +12,7 @@
 #include <opencv2/videoio.hpp>
 
 #include "app/http_server.h"
+#include "firmware/base/os.h"
 #include "tests/app/program.h"
 #include "tests/app/raw_client.h"
 #include "tests/support/random_model.h"
@@ -109,6 +110,9 @@ TEST_F(Cli, RefusesACommandLineItDoesNotUnderstand) {
   expect_refusal({"bench", "--threads", "0"}, 2, "--threads");
   expect_refusal({"bench", "--size", "big"}, 2, "640x192");
   expect_refusal({"bench", "--size", "100x64"}, 2, "multiples of 32");
+  for (const char* format : {"yuyv", "yuyv:", "yuyv:0x0", "yuyv:63x64", "mjpeg:64x64", "x:64x64"}) {
+    expect_refusal({"bench", "--source-format", format}, 2, "yuyv:640x480");
+  }
   expect_refusal({"calibrate", "--board", "9"}, 2, "9x6");
 }
 
@@ -388,9 +392,23 @@ TEST_F(Cli, BenchPrintsTheKeysThatScriptsRead) {
   EXPECT_GT(json["weight_bytes"], 1'000'000);
   EXPECT_GT(json["peak_rss_bytes"], json["weight_bytes"]);
   EXPECT_EQ(json["allocations_per_frame"], 0);
-  EXPECT_EQ(json["threads"], 2);
+  EXPECT_GT(json["prepare_ms"], 0);
+  EXPECT_EQ(json["threads"], std::min(2, os::processor_count()));
   EXPECT_EQ(json["width"], 96);
   EXPECT_EQ(json["height"], 64);
+}
+
+TEST_F(Cli, BenchReadsFramesOfACamerasFormatAndFitsThreadsToTheMachine) {
+  const Outcome outcome =
+      lcdm({"bench", "--size", "64x64", "--source-format", "nv12:128x96", "--profile", "--set",
+            "model.precision=int8", "--threads", "64", "--model", model_.string()});
+  ASSERT_EQ(outcome.status, 0) << outcome.text;
+  for (const char* wanted : {"prepared   in ", " ms\n", "preprocess", "\nlimit  "}) {
+    EXPECT_THAT(outcome.text, HasSubstr(wanted));
+  }
+  if (os::processor_count() >= 64) return;
+  EXPECT_THAT(outcome.text, HasSubstr("warning: model.threads = 64, but this program may use"));
+  EXPECT_THAT(outcome.text, HasSubstr("\nthreads    " + std::to_string(os::processor_count())));
 }
 
 TEST_F(Cli, BenchTimesKernelsBesideTheMachinesLimits) {

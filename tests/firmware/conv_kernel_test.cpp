@@ -32,19 +32,25 @@ Image upsampled(const Image& in, Upsampling how) {
 }
 
 // The direct convolution of the channels after the first `skipped`.
-PackedMatrix without(const Filter& filter, int skipped, std::vector<float>& store) {
+PackedMatrix without(const Filter& filter, int skipped, std::vector<float>& store,
+                     Precision precision = Precision::kFloat32) {
   const int used = filter.channels - skipped;
+  const int runs = precision == Precision::kFloat32 ? 1 : 3;
+  store.resize(packed_floats(used * 9, filter.columns, precision, runs));
   return pack_matrix(
       used * 9, filter.columns,
-      [&](int k, int n) { return filter.at(n, skipped + k % used, k / used); }, filter.bias, store);
+      [&](int k, int n) { return filter.at(n, skipped + k % used, k / used); }, filter.bias, store,
+      precision, runs);
 }
 
 // The first `count` channels, tap by tap.
-PackedMatrix taps_of(const Filter& filter, int count, std::vector<float>& store) {
+PackedMatrix taps_of(const Filter& filter, int count, std::vector<float>& store,
+                     Precision precision = Precision::kFloat32) {
+  store.resize(packed_floats(count, 9 * filter.columns, precision));
   return pack_matrix(
       count, 9 * filter.columns,
-      [&](int k, int n) { return filter.at(n % filter.columns, k, n / filter.columns); }, {},
-      store);
+      [&](int k, int n) { return filter.at(n % filter.columns, k, n / filter.columns); }, {}, store,
+      precision);
 }
 
 void expect_convolved(const Image& in, const Filter& filter, const Conv3x3& conv,
@@ -94,12 +100,12 @@ void check_conv(Random& random, const Image& first, Upsampling upsampling, int s
   }
   const Filter filter(random, columns, whole.channels, 3);
   const int skipped = bilinear ? first.channels : 0;
-  std::vector<float> taps_store(packed_floats(first.channels, 9 * columns));
+  std::vector<float> taps_store;
   if (bilinear) {
     conv.upsampled = {first_values.data(), first.height, first.width, first.channels,
                       taps_of(filter, first.channels, taps_store)};
   }
-  std::vector<float> direct_store(packed_floats((whole.channels - skipped) * 9, columns));
+  std::vector<float> direct_store;
   std::vector<float> out(
       static_cast<std::size_t>(whole.height / stride * (whole.width / stride) * columns));
   conv.height = whole.height;
@@ -154,22 +160,14 @@ TEST(Conv3x3Kernel, UpsamplesAndConcatenatesWhileReading) {
   });
 }
 
-// Whole numbers that every narrow precision holds exactly, with sums it adds up exactly: inputs
-// from 0 to 15, both in every row, and weights that are -1, 0 or 1.
 struct WholeConv {
   Image image;
   Filter filter;
 
   WholeConv(Random& random, int height, int width, int channels, int columns)
       : image(make_image(random, height, width, channels)), filter(random, columns, channels, 3) {
-    for (double& v : image.values) v = random.whole(0, 15);
-    for (int y = 0; y < height; ++y) {
-      const auto row = static_cast<std::size_t>(y * width * channels);
-      image.values[row] = 15;
-      image.values[row + 1] = 0;
-    }
-    for (float& w : filter.weights) w = static_cast<float>(random.whole(-1, 1));
-    for (float& b : filter.bias) b = static_cast<float>(random.whole(-9, 9));
+    make_whole(random, image);
+    make_whole(random, filter);
   }
 };
 
@@ -178,7 +176,7 @@ void check_narrow_conv(const WholeConv& whole, Precision precision, int stride, 
   const Image& image = whole.image;
   const Filter& filter = whole.filter;
   const auto values = to_floats(image.values);
-  std::vector<float> store(packed_floats(9 * image.channels, filter.columns, precision, 3));
+  std::vector<float> store;
   const int rows = image.height / stride;
   std::vector<float> out(static_cast<std::size_t>(rows * image.width / stride * filter.columns));
   Conv3x3 conv;
@@ -188,10 +186,7 @@ void check_narrow_conv(const WholeConv& whole, Precision precision, int stride, 
   conv.channels = image.channels;
   conv.stride = stride;
   conv.padding = padding;
-  conv.weights = pack_matrix(
-      9 * image.channels, filter.columns,
-      [&](int k, int n) { return filter.at(n, k % image.channels, k / image.channels); },
-      filter.bias, store, precision, 3);
+  conv.weights = filter.narrow(precision, store, 3);
   conv.output = out.data();
   const ConvChain chain = {{conv}, 1};
   std::vector<float> scratch(conv3x3_scratch(chain));
@@ -200,24 +195,95 @@ void check_narrow_conv(const WholeConv& whole, Precision precision, int stride, 
   expect_near(out, filter.of(image, stride, padding), 2e-3);
 }
 
-TEST(Conv3x3Kernel, ConvolvesNarrowNumbers) {
-  for_each_isa([] {
-    Random random(8);
+// check(precision) for every narrow one that each instruction set has.
+template <typename Check>
+void for_each_narrow(Check&& check) {
+  for_each_isa([&] {
     for (const Precision precision :
          {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
-      if (support_of(precision) == Support::kNone) continue;
-      for (const Padding padding : {Padding::kZero, Padding::kReflect}) {
-        for (const int channels : {4, 8, 20, 36}) {
-          for (const int columns : {1, 8, 23, 50}) {
-            const WholeConv odd(random, random.whole(2, 9), random.whole(2, 19), channels, columns);
-            check_narrow_conv(odd, precision, 1, padding);
-            const WholeConv even(random, 2 * random.whole(1, 5), 2 * random.whole(1, 9), channels,
-                                 columns);
-            check_narrow_conv(even, precision, 2, padding);
-          }
+      if (support_of(precision) != Support::kNone) check(precision);
+    }
+  });
+}
+
+TEST(Conv3x3Kernel, ConvolvesNarrowNumbers) {
+  for_each_narrow([](Precision precision) {
+    Random random(8);
+    for (const Padding padding : {Padding::kZero, Padding::kReflect}) {
+      for (const int channels : {4, 8, 20, 36}) {
+        for (const int columns : {1, 8, 23, 50}) {
+          const WholeConv odd(random, random.whole(2, 9), random.whole(2, 19), channels, columns);
+          check_narrow_conv(odd, precision, 1, padding);
+          const WholeConv even(random, 2 * random.whole(1, 5), 2 * random.whole(1, 9), channels,
+                               columns);
+          check_narrow_conv(even, precision, 2, padding);
         }
       }
     }
+  });
+}
+
+TEST(Conv3x3Kernel, AddsAnUpsampledShareOfNarrowNumbers) {
+  for_each_narrow([](Precision precision) {
+    SCOPED_TRACE(to_string(precision));
+    Random random(10);
+    for (const int columns : {8, 16, 23}) {
+      Image low = make_image(random, 4, 7, 20);
+      Image second = make_image(random, 8, 14, 12);
+      make_whole(random, low);
+      make_whole(random, second);
+      const Image whole = joined(upsampled(low, Upsampling::kBilinear), second);
+      Filter filter(random, columns, whole.channels, 3);
+      make_whole(random, filter);
+      const auto low_values = to_floats(low.values);
+      const auto second_values = to_floats(second.values);
+      std::vector<float> taps_store;
+      std::vector<float> store;
+      std::vector<float> out(static_cast<std::size_t>(8 * 14 * columns));
+      Conv3x3 conv;
+      conv.upsampled = {low_values.data(), 4, 7, 20, taps_of(filter, 20, taps_store, precision)};
+      conv.inputs[0] = as_input(second, second_values, Upsampling::kNone);
+      conv.height = 8;
+      conv.width = 14;
+      conv.channels = 12;
+      conv.weights = without(filter, 20, store, precision);
+      conv.output = out.data();
+      const ConvChain chain = {{conv}, 1};
+      std::vector<float> scratch(conv3x3_scratch(chain));
+      conv3x3_rows(chain, 3, 8, scratch.data());
+      conv3x3_rows(chain, 0, 3, scratch.data());
+      expect_near(out, filter.of(whole), 5e-3);
+    }
+  });
+}
+
+TEST(Conv3x3Kernel, ChainsNarrowNumbers) {
+  for_each_narrow([](Precision precision) {
+    SCOPED_TRACE(to_string(precision));
+    Random random(11);
+    const WholeConv first(random, 9, 13, 8, 12);
+    Filter second(random, 20, 12, 3);
+    make_whole(random, second);
+    const Image between = first.filter.of(first.image);
+    const auto values = to_floats(first.image.values);
+    std::vector<float> stores[2];
+    std::vector<float> out(std::size_t{9} * 13 * 20);
+    ConvChain chain;
+    chain.count = 2;
+    for (Conv3x3& conv : chain.convs) {
+      conv.height = 9;
+      conv.width = 13;
+    }
+    chain.convs[0].inputs[0] = as_input(first.image, values, Upsampling::kNone);
+    chain.convs[0].channels = 8;
+    chain.convs[0].weights = first.filter.narrow(precision, stores[0], 3);
+    chain.convs[1].channels = 12;
+    chain.convs[1].weights = second.narrow(precision, stores[1], 3);
+    chain.convs[1].output = out.data();
+    std::vector<float> scratch(conv3x3_scratch(chain));
+    conv3x3_rows(chain, 4, 9, scratch.data());
+    conv3x3_rows(chain, 0, 4, scratch.data());
+    expect_near(out, second.of(between), rounding_of_sum(between, 9 * 12, precision));
   });
 }
 
@@ -228,7 +294,7 @@ TEST(Conv3x3Kernel, ChainsWithoutStoringWhatIsBetween) {
     const Image image = make_image(random, 4, 7, 8);
     const auto values = to_floats(image.values);
     const Filter filters[3] = {{random, 8, 8, 3}, {random, 16, 8, 3}, {random, 20, 16, 3}};
-    std::vector<float> taps_store(packed_floats(8, 9 * 8));
+    std::vector<float> taps_store;
     ConvChain chain;
     chain.count = 3;
     std::vector<float> outputs[3];
@@ -269,6 +335,46 @@ TEST(Conv3x3Kernel, ChainsWithoutStoringWhatIsBetween) {
     winograd_rows(winograd, 4, 8, more.data());
     winograd_rows(winograd, 0, 4, more.data());
     for (std::size_t i = 0; i < direct.size(); ++i) ASSERT_NEAR(outputs[2][i], direct[i], 2e-3);
+  });
+}
+
+// The convolution before it fills one input, an upsampled image the other: each has scratch of its
+// own.
+TEST(Conv3x3Kernel, WinogradTakesAnUpsampledShareBesideAChain) {
+  for_each_isa([] {
+    Random random(12);
+    const Image low = make_image(random, 16, 7, 8);
+    const Image image = make_image(random, 32, 14, 3);
+    const Filter first(random, 16, 3, 3);
+    const Filter filter(random, 20, 8 + 16, 3);
+    const Image whole = joined(upsampled(low, Upsampling::kBilinear), first.of(image));
+    const auto low_values = to_floats(low.values);
+    const auto values = to_floats(image.values);
+    std::vector<float> taps_store;
+    std::vector<float> direct_store;
+    std::vector<float> panels(winograd_floats(16, 20));
+    pack_winograd(
+        16, 20, [&](int c, int n, int tap) { return filter.at(n, 8 + c, tap); }, panels);
+    std::vector<float> out(std::size_t{32} * 14 * 20);
+    WinogradConv winograd;
+    winograd.panels = panels.data();
+    winograd.before.count = 1;
+    Conv3x3& before = winograd.before.convs[0];
+    before.inputs[0] = as_input(image, values, Upsampling::kNone);
+    before.channels = 3;
+    before.weights = first.packed;
+    winograd.conv.upsampled = {low_values.data(), 16, 7, 8, taps_of(filter, 8, taps_store)};
+    winograd.conv.channels = 16;
+    winograd.conv.weights = without(filter, 8, direct_store);
+    winograd.conv.output = out.data();
+    for (Conv3x3* conv : {&before, &winograd.conv}) {
+      conv->height = 32;
+      conv->width = 14;
+    }
+    std::vector<float> scratch(winograd_scratch(winograd));
+    winograd_rows(winograd, 28, 32, scratch.data());
+    winograd_rows(winograd, 0, 28, scratch.data());  // more than it takes at a time
+    expect_near(out, filter.of(whole), 4e-3);
   });
 }
 

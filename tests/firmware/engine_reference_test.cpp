@@ -1,8 +1,10 @@
 // The engine against the same network in plain double-precision loops, layer by layer.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <gtest/gtest.h>
 #include <limits>
+#include <vector>
 
 #include "firmware/nn/engine.h"
 #include "firmware/nn/noise.h"
@@ -17,6 +19,9 @@ struct Case {
   PresetKind preset;
   int width;
   int height;
+  std::array<int, 5> decoder_widths = {8, 16, 32, 64, 128};
+  int condition_channels = 16;
+  std::vector<int> steps = {};  // empty: the preset's
 };
 
 // Largest |engine - reference| over largest |reference|; the engine's tensor is channels-last.
@@ -40,14 +45,18 @@ double relative_difference(std::span<const float> engine, const test::Planes& re
 
 std::string name_of(const Case& c) {
   return std::string(to_string(c.encoder)) + "_" + to_string(c.preset) + "_" +
-         std::to_string(c.width) + "x" + std::to_string(c.height);
+         std::to_string(c.width) + "x" + std::to_string(c.height) + "_" +
+         std::to_string(c.condition_channels) + "channels";
 }
 
 class EngineReference : public testing::TestWithParam<Case> {};
 
 TEST_P(EngineReference, EveryLayerAgrees) {
   const Case& c = GetParam();
-  const ModelConfig config = test::make_config(c.encoder, c.preset);
+  ModelConfig config = test::make_config(c.encoder, c.preset);
+  config.decoder_widths = c.decoder_widths;
+  config.condition_channels = c.condition_channels;
+  if (!c.steps.empty()) config.steps = c.steps;
   const auto weights = test::make_random_weights(config, 7);
   const auto model = ModelFile::parse(test::make_model_image(test::metadata_json(config), weights));
   ASSERT_TRUE(model) << model.status().text();
@@ -80,15 +89,20 @@ TEST_P(EngineReference, EveryLayerAgrees) {
   }
 }
 
-// 96x32-multiples give odd sides at 1/32, 1/16 and 1/8: the resize path.
-INSTANTIATE_TEST_SUITE_P(Networks, EngineReference,
-                         testing::Values(Case{EncoderKind::kXxs, PresetKind::kLcdm, 64, 64},
-                                         Case{EncoderKind::kXxs, PresetKind::kPaper, 64, 64},
-                                         Case{EncoderKind::kXxs, PresetKind::kLcdm, 96, 64},
-                                         Case{EncoderKind::kXxs, PresetKind::kPaper, 64, 96},
-                                         Case{EncoderKind::kXs, PresetKind::kLcdm, 96, 96},
-                                         Case{EncoderKind::kS, PresetKind::kLcdm, 64, 64}),
-                         [](const auto& of) { return name_of(of.param); });
+// 96x32-multiples give odd sides at 1/32, 1/16 and 1/8: the resize path. Odd widths fill no vector.
+INSTANTIATE_TEST_SUITE_P(
+    Networks, EngineReference,
+    testing::Values(
+        Case{EncoderKind::kXxs, PresetKind::kLcdm, 64, 64},
+        Case{EncoderKind::kXxs, PresetKind::kPaper, 64, 64},
+        Case{EncoderKind::kXxs, PresetKind::kLcdm, 96, 64},
+        Case{EncoderKind::kXxs, PresetKind::kPaper, 64, 96},
+        Case{EncoderKind::kXs, PresetKind::kLcdm, 96, 96},
+        Case{EncoderKind::kS, PresetKind::kLcdm, 64, 64},
+        Case{EncoderKind::kXxs, PresetKind::kLcdm, 64, 64, {3, 17, 5, 64, 9}, 4, {149}},
+        Case{EncoderKind::kXxs, PresetKind::kPaper, 64, 64, {16, 7, 33, 20, 50}, 20, {140, 75, 0}},
+        Case{EncoderKind::kXxs, PresetKind::kLcdm, 64, 64, {16, 7, 33, 20, 50}, 20, {140, 75, 0}}),
+    [](const auto& of) { return name_of(of.param); });
 
 }  // namespace
 }  // namespace lcdm

@@ -1,6 +1,8 @@
 // Channels-last images of doubles and convolutions of them, for references one can check by eye.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <gtest/gtest.h>
 #include <vector>
 
@@ -90,6 +92,15 @@ struct Filter {
             [this](int k, int n) { return at(n, k % channels, k / channels); }, bias,
             packed_store)) {}
 
+  // The same in another precision; `store` holds it.
+  kernels::PackedMatrix narrow(Precision precision, std::vector<float>& store, int runs = 1) const {
+    const int depth = channels * side * side;
+    store.resize(kernels::packed_floats(depth, columns, precision, runs));
+    return kernels::pack_matrix(
+        depth, columns, [this](int k, int n) { return at(n, k % channels, k / channels); }, bias,
+        store, precision, runs);
+  }
+
   float at(int n, int c, int tap) const {
     return weights[static_cast<std::size_t>((n * channels + c) * side * side + tap)];
   }
@@ -103,6 +114,28 @@ struct Filter {
     return out;
   }
 };
+
+// Whole numbers that every narrow precision holds exactly, with sums it adds up exactly: inputs
+// from 0 to 15, both in every pixel, and weights that are -1, 0 or 1.
+inline void make_whole(Random& random, Image& image) {
+  for (std::size_t i = 0; i < image.values.size(); ++i) {
+    const std::size_t channel = i % static_cast<std::size_t>(image.channels);
+    image.values[i] = channel == 0 ? 15 : channel == 1 ? 0 : random.whole(0, 15);
+  }
+}
+inline void make_whole(Random& random, Filter& filter) {
+  for (float& w : filter.weights) w = static_cast<float>(random.whole(-1, 1));
+  for (float& b : filter.bias) b = static_cast<float>(random.whole(-9, 9));
+}
+
+// By how much a sum of so many numbers, each no larger than the image's, and rounded to that
+// precision, may be off.
+inline double rounding_of_sum(const Image& image, int numbers, Precision precision) {
+  double largest = 0;
+  for (const double v : image.values) largest = std::max(largest, std::fabs(v));
+  const double step = precision == Precision::kInt8 ? 1.0 / 255 : 1.0 / 512;
+  return 2 * largest * step * std::sqrt(numbers);
+}
 
 inline std::vector<float> to_floats(const std::vector<double>& values) {
   return {values.begin(), values.end()};
@@ -136,6 +169,8 @@ using test::Image;
 using test::joined;
 using test::kUntouched;
 using test::make_image;
+using test::make_whole;
 using test::Random;
+using test::rounding_of_sum;
 using test::to_floats;
 }  // namespace lcdm::kernels

@@ -28,29 +28,57 @@ Image depthwise(const Image& in, int stride, const std::vector<float>& taps,
   return out;
 }
 
+struct Size {
+  int channels;
+  int hidden;
+  int columns;
+  int stride;
+  int height;
+  int width;
+};
+
+// What its three layers give one after the other.
+struct Layers {
+  Image expanded;
+  Image filtered;
+  Image projected;
+};
+
 // The block in one pass against its three layers one after the other, with borders, over several
 // strips, and in slices as several workers would.
-void check_inverted_residual(Random& random, int channels, int hidden, int columns, int stride,
-                             int height, int width) {
+void check_inverted_residual(Random& random, const Size& size,
+                             Precision precision = Precision::kFloat32) {
+  const auto& [channels, hidden, columns, stride, height, width] = size;
   SCOPED_TRACE(testing::Message() << channels << " -> " << hidden << " -> " << columns
-                                  << ", stride " << stride << ", " << width << "x" << height);
-  const Image in = make_image(random, height, width, channels);
-  const Filter expand(random, hidden, channels, 1);
+                                  << ", stride " << stride << ", " << width << "x" << height << ", "
+                                  << to_string(precision));
+  const bool narrow = precision != Precision::kFloat32;
+  Image in = make_image(random, height, width, channels);
+  Filter expand(random, hidden, channels, 1);
   const auto taps = random.reals(static_cast<std::size_t>(9 * hidden));
   const auto taps_bias = random.reals(static_cast<std::size_t>(hidden));
-  const Filter project(random, columns, hidden, 1);
-  Image expanded = expand.of(in);
-  for (double& v : expanded.values) v = silu(v);
-  Image filtered = depthwise(expanded, stride, taps, taps_bias);
-  for (double& v : filtered.values) v = silu(v);
-  Image want = project.of(filtered);
+  Filter project(random, columns, hidden, 1);
+  if (narrow) {
+    make_whole(random, in);
+    make_whole(random, expand);
+    make_whole(random, project);
+  }
+  Layers want = {expand.of(in), {}, {}};
+  for (double& v : want.expanded.values) v = silu(v);
+  want.filtered = depthwise(want.expanded, stride, taps, taps_bias);
+  for (double& v : want.filtered.values) v = silu(v);
+  want.projected = project.of(want.filtered);
   const bool residual = stride == 1 && channels == columns;
-  for (std::size_t i = 0; residual && i < want.values.size(); ++i) want.values[i] += in.values[i];
+  for (std::size_t i = 0; residual && i < want.projected.values.size(); ++i) {
+    want.projected.values[i] += in.values[i];
+  }
 
   const auto values = to_floats(in.values);
-  std::vector<float> out(want.values.size());
-  std::vector<float> seen_expanded(expanded.values.size(), kUntouched);
-  std::vector<float> seen_filtered(filtered.values.size(), kUntouched);
+  std::vector<float> out(want.projected.values.size());
+  std::vector<float> seen_expanded(want.expanded.values.size(), kUntouched);
+  std::vector<float> seen_filtered(want.filtered.values.size(), kUntouched);
+  std::vector<float> narrow_expand;
+  std::vector<float> narrow_project;
   InvertedResidual block;
   block.input = values.data();
   block.height = height;
@@ -58,10 +86,10 @@ void check_inverted_residual(Random& random, int channels, int hidden, int colum
   block.channels = channels;
   block.hidden = hidden;
   block.stride = stride;
-  block.expand = expand.packed;
+  block.expand = narrow ? expand.narrow(precision, narrow_expand) : expand.packed;
   block.taps = taps.data();
   block.taps_bias = taps_bias.data();
-  block.project = project.packed;
+  block.project = narrow ? project.narrow(precision, narrow_project) : project.packed;
   block.residual = residual ? values.data() : nullptr;
   block.output = out.data();
   block.expanded = seen_expanded.data();
@@ -75,9 +103,14 @@ void check_inverted_residual(Random& random, int channels, int hidden, int colum
   expect_only_rows(seen_expanded, pitch, first * step, static_cast<std::size_t>(height));
   expect_only_rows(seen_filtered, pitch / step, first, static_cast<std::size_t>(rows));
   inverted_residual_rows(block, 0, rows / 2, scratch.data());
-  expect_near(seen_expanded, expanded, 1e-4);
-  expect_near(seen_filtered, filtered, 1e-4);
-  expect_near(out, want, 1e-5 * hidden);
+  // Beside narrow products activations are rough.
+  const double rough = 1e-3;
+  expect_near(seen_expanded, want.expanded,
+              narrow ? rough * rounding_of_sum(want.expanded, 1, Precision::kInt8) * 255 : 1e-4);
+  expect_near(seen_filtered, want.filtered,
+              narrow ? rough * rounding_of_sum(want.filtered, 1, Precision::kInt8) * 255 : 1e-4);
+  expect_near(out, want.projected,
+              narrow ? rounding_of_sum(want.filtered, hidden, precision) : 1e-5 * hidden);
 }
 
 TEST(InvertedResidualKernel, IsItsThreeLayersInOnePass) {
@@ -85,10 +118,25 @@ TEST(InvertedResidualKernel, IsItsThreeLayersInOnePass) {
     Random random(4);
     for (const int stride : {1, 2}) {
       for (const int hidden : {1, 8, 20, 48}) {
-        check_inverted_residual(random, 5, hidden, 5, stride, stride * random.whole(1, 6),
-                                stride * random.whole(1, 12));
+        const int height = stride * random.whole(1, 6);
+        check_inverted_residual(random,
+                                {5, hidden, 5, stride, height, stride * random.whole(1, 12)});
       }
-      check_inverted_residual(random, 16, 640, 24, stride, 6, 84);  // several strips
+      check_inverted_residual(random, {16, 640, 24, stride, 6, 84});  // several strips
+    }
+  });
+}
+
+TEST(InvertedResidualKernel, IsItsThreeLayersInNarrowNumbers) {
+  for_each_isa([] {
+    Random random(5);
+    for (const Precision precision :
+         {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
+      if (support_of(precision) == Support::kNone) continue;
+      for (const int stride : {1, 2}) {
+        check_inverted_residual(random, {8, 20, 8, stride, 6, 10}, precision);
+        check_inverted_residual(random, {16, 640, 24, stride, 6, 84}, precision);
+      }
     }
   });
 }

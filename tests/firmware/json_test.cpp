@@ -1,6 +1,7 @@
 // The JSON reader: what it takes, and that hostile text is an error, not a crash.
 #include "firmware/nn/json.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 namespace lcdm {
@@ -8,7 +9,7 @@ namespace {
 
 TEST(Json, ReadsEveryKindOfValue) {
   const auto value = parse_json(R"( {"n": null, "t": true, "i": 42, "x": -2.5e-1,
-                                     "s": "a\"\\\/\n\u00e9\ud83d\ude00", "a": [1, [2], {}]} )");
+                                     "s": "a\"\\\/\u00e9\ud83d\ude00", "a": [1, [2], {}]} )");
   ASSERT_TRUE(value) << value.status().text();
   EXPECT_EQ(value->find("n")->kind(), JsonValue::Kind::kNull);
   EXPECT_EQ(value->find("t")->kind(), JsonValue::Kind::kBool);
@@ -16,7 +17,7 @@ TEST(Json, ReadsEveryKindOfValue) {
   EXPECT_EQ(value->find("i")->number(), 42.0);
   EXPECT_EQ(value->find("x")->number(), -0.25);
   EXPECT_EQ(value->find("x")->whole(), std::nullopt);
-  EXPECT_EQ(value->find("s")->text(), "a\"\\/\n\xC3\xA9\xF0\x9F\x98\x80");
+  EXPECT_EQ(value->find("s")->text(), "a\"\\/\xC3\xA9\xF0\x9F\x98\x80");
   ASSERT_EQ(value->find("a")->items().size(), 3U);
   EXPECT_EQ(value->find("a")->items()[1].items()[0].whole(), 2U);
   EXPECT_EQ(value->find("missing"), nullptr);
@@ -53,7 +54,6 @@ TEST(Json, RefusesWhatIsNotJson) {
                            "\"\\ud800\"",
                            "\"\\ud800\\u0041\"",
                            "\"\\udc00\"",
-                           "\"\x01\"",
                            "1 2",
                            "inf",
                            "NaN",
@@ -61,6 +61,20 @@ TEST(Json, RefusesWhatIsNotJson) {
     const auto value = parse_json(text);
     EXPECT_EQ(value.code(), StatusCode::kCorrupt) << text;
   }
+}
+
+// Names and texts of a model file are printed.
+TEST(Json, RefusesStringsThatWouldSteerATerminal) {
+  for (const char* text : {"\"\x01\"", "\"\x7f\"", R"("\n")", R"("\u001b[2J")", R"("\u007f")",
+                           R"("\u0080")", R"("\u009b2J")",
+                           "\"\xC2\x9B"
+                           "2J\"",
+                           R"({"\t": 1})"}) {
+    const auto value = parse_json(text);
+    EXPECT_EQ(value.code(), StatusCode::kCorrupt) << text;
+    EXPECT_THAT(value.status().text(), testing::HasSubstr("control character")) << text;
+  }
+  EXPECT_EQ(parse_json(R"("\u00a0\u011b")")->text(), "\xC2\xA0\xC4\x9B") << "no control characters";
 }
 
 TEST(Json, NamesThePlaceOfTheError) {

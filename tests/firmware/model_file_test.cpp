@@ -170,7 +170,7 @@ TEST(ModelFile, NamesTheMetadataKeyThatIsWrong) {
               HasSubstr("`canonical_focal`"));
   EXPECT_THAT(with("[640,192]", "[640]"), HasSubstr("`trained_sizes`"));
   EXPECT_THAT(with("\"licence\"", "\"license\""), HasSubstr("`licence`"));
-  EXPECT_THAT(with("\"Apache-2.0\"", "\"\\u001b[2J\""), HasSubstr("control characters"));
+  EXPECT_THAT(with("\"Apache-2.0\"", "\"\\u001b[2J\""), HasSubstr("control character"));
 }
 
 TEST(ModelFile, MissingFileSaysWhichAndWhatToDo) {

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cstring>
 
+#include "firmware/nn/network_config.h"
+
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/head.cpp"
@@ -16,8 +18,6 @@
 HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
-
-constexpr int kMostChannels = 512;
 
 // condition-free input of conv1 at one pixel: time + embed(state); zero beyond the image.
 HWY_INLINE void fused_pixel(const HeadStep& s, int y, int x, float* out) {
@@ -42,7 +42,7 @@ HWY_INLINE void fused_pixel(const HeadStep& s, int y, int x, float* out) {
 // The hidden layer at one pixel near the border, tap by tap.
 HWY_INLINE void border_hidden(const HeadStep& s, int y, int x, float* out) {
   const auto channels = static_cast<std::size_t>(s.channels);
-  float fused[9 * kMostChannels];
+  float fused[9 * ModelConfig::kMaxChannels];
   for (int t = 0; t < 9; ++t) {
     fused_pixel(s, y + t / 3 - 1, x + t % 3 - 1, fused + t * channels);
   }

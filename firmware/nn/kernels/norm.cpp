@@ -50,40 +50,61 @@ void layer_norm(const LayerNorm& norm, int begin, int end) {
   }
 }
 
-void row_sums(const GroupNorm& norm, int begin, int end) {
+// Sum of f(x) over a row, in four sums that need not wait for each other.
+template <class D, class F>
+HWY_INLINE hn::Vec<D> sum_of_row(D d, int width, F&& f) {
+  hn::Vec<D> sum[4];
+  LCDM_UNROLL for (int i = 0; i < 4; ++i) sum[i] = hn::Zero(d);
+  int x = 0;
+  for (; x + 4 <= width; x += 4) {
+    LCDM_UNROLL for (int i = 0; i < 4; ++i) sum[i] = hn::Add(sum[i], f(x + i));
+  }
+  for (; x < width; ++x) sum[0] = hn::Add(sum[0], f(x));
+  return hn::Add(hn::Add(sum[0], sum[1]), hn::Add(sum[2], sum[3]));
+}
+
+// Squares of the differences from the row's own mean, not of the values: where these are all alike,
+// sums of squares differ by less than their rounding.
+void row_moments(const GroupNorm& norm, int begin, int end) {
   const auto channels = static_cast<std::size_t>(norm.channels);
+  const float share = 1.0F / static_cast<float>(norm.width);
   for (int y = begin; y < end; ++y) {
     const float* in = norm.input + static_cast<std::size_t>(y) * norm.width * channels;
-    float* sums = norm.row_sums + static_cast<std::size_t>(y) * 2 * channels;
+    float* moments = norm.row_moments + static_cast<std::size_t>(y) * 2 * channels;
     for_channels(channels, [&](auto d, std::size_t c) HWY_ATTR {
-      auto sum = hn::Zero(d);
-      auto squares = hn::Zero(d);
-      for (int x = 0; x < norm.width; ++x) {
-        const auto v = hn::LoadU(d, in + x * channels + c);
-        sum = hn::Add(sum, v);
-        squares = hn::MulAdd(v, v, squares);
-      }
-      hn::StoreU(sum, d, sums + c);
-      hn::StoreU(squares, d, sums + channels + c);
+      const auto value = [&](int x) HWY_ATTR { return hn::LoadU(d, in + x * channels + c); };
+      const auto first = value(0);  // sums of what is left of it are small
+      const auto sum =
+          sum_of_row(d, norm.width, [&](int x) HWY_ATTR { return hn::Sub(value(x), first); });
+      const auto mean = hn::MulAdd(sum, hn::Set(d, share), first);
+      const auto squares = sum_of_row(d, norm.width, [&](int x) HWY_ATTR {
+        const auto v = hn::Sub(value(x), mean);
+        return hn::Mul(v, v);
+      });
+      hn::StoreU(mean, d, moments + c);
+      hn::StoreU(hn::Mul(squares, hn::Set(d, share)), d, moments + channels + c);
     });
   }
 }
 
-// Mean and 1 / deviation of one group from all row sums.
+// Mean and 1 / deviation of one group from all its rows' moments.
 HWY_INLINE void group_statistics(const GroupNorm& norm, int group, float& mean, float& scale) {
   const int members = norm.channels / norm.groups;
-  double sum = 0;
-  double squares = 0;
-  for (int y = 0; y < norm.height; ++y) {
-    const float* sums = norm.row_sums + static_cast<std::size_t>(y) * 2 * norm.channels;
-    for (int c = group * members; c < (group + 1) * members; ++c) {
-      sum += static_cast<double>(sums[c]);
-      squares += static_cast<double>(sums[norm.channels + c]);
+  const auto each = [&](auto&& use) {
+    for (int y = 0; y < norm.height; ++y) {
+      const float* moments = norm.row_moments + static_cast<std::size_t>(y) * 2 * norm.channels;
+      for (int c = group * members; c < (group + 1) * members; ++c) {
+        use(static_cast<double>(moments[c]), static_cast<double>(moments[norm.channels + c]));
+      }
     }
-  }
-  const double count = static_cast<double>(norm.height) * norm.width * members;
-  const double average = sum / count;
-  const double variance = squares / count - average * average;
+  };
+  const double share = 1.0 / (static_cast<double>(norm.height) * members);
+  double average = 0;
+  each([&](double of_row, double) { average += share * of_row; });
+  double variance = 0;
+  each([&](double of_row, double within) {
+    variance += share * (within + (of_row - average) * (of_row - average));
+  });
   mean = static_cast<float>(average);
   scale = static_cast<float>(1 / std::sqrt(variance + static_cast<double>(norm.epsilon)));
 }
@@ -119,15 +140,15 @@ HWY_AFTER_NAMESPACE();
 namespace lcdm::kernels {
 
 HWY_EXPORT(layer_norm);
-HWY_EXPORT(row_sums);
+HWY_EXPORT(row_moments);
 HWY_EXPORT(apply_group_norm);
 
 void layer_norm_rows(const LayerNorm& norm, int begin, int end) {
   HWY_DYNAMIC_DISPATCH(layer_norm)(norm, begin, end);
 }
 
-void group_norm_sums(const GroupNorm& norm, int begin, int end) {
-  HWY_DYNAMIC_DISPATCH(row_sums)(norm, begin, end);
+void group_norm_moments(const GroupNorm& norm, int begin, int end) {
+  HWY_DYNAMIC_DISPATCH(row_moments)(norm, begin, end);
 }
 
 void group_norm_apply(const GroupNorm& norm, int begin, int end) {

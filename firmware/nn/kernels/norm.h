@@ -29,13 +29,14 @@ struct GroupNorm {
   const float* bias = nullptr;    // [channels]
   float epsilon = 0;
   Activation activation = Activation::kNone;
-  float* row_sums = nullptr;  // [height, 2, channels]: of values and of squares; between the phases
-  float* output = nullptr;    // [height, width, channels]
+  float* row_moments = nullptr;  // [height, 2, channels]: each row's mean and variance; between the
+                                 // phases
+  float* output = nullptr;       // [height, width, channels]
 };
 
-// Phase one, rows [begin, end); phase two needs all of its rows. The sums are added up row by row
+// Phase one, rows [begin, end); phase two needs all of its rows. These are added up row by row
 // in double, so the result does not depend on how rows were shared out.
-void group_norm_sums(const GroupNorm& norm, int begin, int end);
+void group_norm_moments(const GroupNorm& norm, int begin, int end);
 void group_norm_apply(const GroupNorm& norm, int begin, int end);
 
 }  // namespace lcdm::kernels

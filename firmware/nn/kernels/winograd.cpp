@@ -69,6 +69,7 @@ class Batch {
     if (conv_.upsampled.data != nullptr) {
       rest += kTile * strips_ * out_floats();
       upsampled_.begin(conv_.upsampled, own.begin, rest);
+      rest += conv_.upsampled.scratch_floats();
     }
     if (w_.before.count > 0) before_.begin(w_.before, std::max(0, own.begin - 1), own, rest);
   }
