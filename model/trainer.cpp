@@ -13,6 +13,9 @@
 namespace lcdm::model {
 namespace {
 
+// Steps until a head's statistics, which move by a tenth a step, hold nothing of how they were
+// made.
+constexpr std::int64_t kSettled = 50;
 constexpr std::uint64_t kLossStream = 0x4C4F5353;  // keeps the losses' noise apart from the batches
 
 int multiple_of_32(double size) {
@@ -59,11 +62,11 @@ std::int64_t count_learned_cameras(const std::vector<Pack>& packs) {
                        [](const Pack& pack) { return pack.use.learn_intrinsics; });
 }
 
-// To measure on: 16 batches of 8 samples, the same whatever the recipe's batch, both shapes in
-// turn.
-Result<std::vector<Batch>> make_samples(const Recipe& recipe, const std::vector<Pack>& packs) {
+// To measure on: 16 batches of 8 samples of a stage's size, the same whatever its batch, both
+// shapes in turn.
+Result<std::vector<Batch>> make_samples(const Recipe& recipe, Stage stage,
+                                        const std::vector<Pack>& packs) {
   constexpr std::uint64_t kBatches = 16;
-  Stage stage = recipe.stages.front();
   stage.images = 8;
   const std::vector<BatchShape> shapes = make_shapes(recipe, stage, 0, packs);
   std::vector<Batch> batches;
@@ -75,9 +78,9 @@ Result<std::vector<Batch>> make_samples(const Recipe& recipe, const std::vector<
   return batches;
 }
 
-// Mean and deviation of the teacher's logit (MODEL.md: `lcdm` only).
+// Mean and deviation of the teacher's logit (`lcdm` only).
 Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs) {
-  const auto batches = make_samples(recipe, packs);
+  const auto batches = make_samples(recipe, recipe.stages.front(), packs);
   if (!batches) return batches.status();
   std::vector<torch::Tensor> logits;
   for (const Batch& batch : *batches) {
@@ -106,6 +109,12 @@ bool is_new(const Head& head) {
                   (norm->running_var == 1).all().item<bool>() &&
                   (norm->weight == 1).all().item<bool>();
          });
+}
+
+// Of the average, `steps` after its first: little as long as it is mostly how things began.
+double kept_share(const Recipe& recipe, std::int64_t steps) {
+  const auto n = static_cast<double>(steps);
+  return std::min(recipe.average, (1 + n) / (10 + n));
 }
 
 }  // namespace
@@ -181,7 +190,7 @@ void Trainer::spread_weights() {
 }
 
 Status Trainer::measure(torch::nn::Module& part, Answers answers) {
-  const auto batches = make_samples(recipe_, packs_);
+  const auto batches = make_samples(recipe_, recipe_.stages[stage_at(recipe_, step_)], packs_);
   if (!batches) return batches.status();
   std::vector<torch::Tensor> pictures;
   for (const Batch& batch : *batches) pictures.push_back(batch.rgb.to(compute_.device));
@@ -189,19 +198,26 @@ Status Trainer::measure(torch::nn::Module& part, Answers answers) {
   return Status::ok();
 }
 
-// The average's head is still the same: what holds for one holds for both.
+bool Trainer::freezes_a_young_head() const {
+  const std::int64_t freeze = first_step(recipe_, recipe_.freeze_from);
+  const std::int64_t trained = freeze - first_step(recipe_, recipe_.head_from);
+  return step_ == freeze && trained > 0 && trained < kSettled;
+}
+
 Status Trainer::measure_new_head() {
   Head& head = networks_->depth->head;
-  if (!has_head() || !past(recipe_.freeze_from) || !is_new(head)) return Status::ok();
+  const bool frozen_new = has_head() && past(recipe_.freeze_from) && is_new(head);
+  if (!frozen_new && !freezes_a_young_head()) return Status::ok();
   LCDM_RETURN_IF_ERROR(measure(*head, Answers::kNormalise));
-  std::map<std::string, torch::Tensor> tensors;
-  collect(*head, "", tensors);
-  restore(*average_->head, "", tensors);
+  const torch::NoGradGuard no_grad;
+  const auto measured = head->named_buffers();
+  for (auto& item : average_->head->named_buffers()) item.value().copy_(measured[item.key()]);
   return Status::ok();
 }
 
 Status Trainer::start_from(const DepthNetwork& trained, Known statistics) {
   ModelConfig& config = networks_->depth->config;
+  if (!recipe_.start) config.start = trained->config.start;
   if (trained->config.encoder == config.encoder && trained->config.preset == config.preset) {
     std::map<std::string, torch::Tensor> tensors;
     collect(*trained, "", tensors);
@@ -337,15 +353,18 @@ Losses Trainer::run_worker(int worker, int k, const Batch& part, double share) {
 
 void Trainer::update_average() {
   const torch::NoGradGuard no_grad;
-  const double keep = std::min(
-      recipe_.average, (1.0 + static_cast<double>(step_)) / (10.0 + static_cast<double>(step_)));
+  // The head joins later: what it was before is nothing to keep.
+  const auto joined = std::max<std::int64_t>(0, step_ - first_step(recipe_, recipe_.head_from));
+  const double keep = kept_share(recipe_, step_);
+  const double keep_of_head = kept_share(recipe_, joined);
   std::map<std::string, torch::Tensor> from;
   std::map<std::string, torch::Tensor> to;
   collect(*networks_->depth, "", from);
   collect(*average_, "", to);
   for (auto& [name, tensor] : to) {
     if (tensor.is_floating_point()) {
-      tensor.mul_(keep).add_(from[name], 1 - keep);
+      const double kept = name.rfind("head.", 0) == 0 ? keep_of_head : keep;
+      tensor.mul_(kept).add_(from[name], 1 - kept);
     } else {
       tensor.copy_(from[name]);
     }
