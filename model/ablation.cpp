@@ -6,6 +6,7 @@
 #include <span>
 
 #include "drivers/codec.h"
+#include "model/checkpoint.h"
 #include "model/dataset_files.h"
 #include "model/evaluation.h"
 #include "model/html_page.h"

@@ -3,9 +3,9 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "model/catalogue.h"
+#include "model/checkpoint.h"
 #include "model/commands.h"
 #include "model/evaluation.h"
-#include "model/trainer.h"
 
 namespace lcdm::model {
 namespace {

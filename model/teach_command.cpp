@@ -4,11 +4,11 @@
 
 #include "drivers/codec.h"
 #include "model/catalogue.h"
+#include "model/checkpoint.h"
 #include "model/choice_option.h"
 #include "model/commands.h"
 #include "model/evaluation.h"
 #include "model/torchscript_teacher.h"
-#include "model/trainer.h"
 
 namespace lcdm::model {
 namespace {

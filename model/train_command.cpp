@@ -4,6 +4,7 @@
 #include <filesystem>
 
 #include "model/catalogue.h"
+#include "model/checkpoint.h"
 #include "model/commands.h"
 #include "model/dry_run.h"
 #include "model/recipe_options.h"

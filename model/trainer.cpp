@@ -5,9 +5,10 @@
 #include <cstdio>
 #include <future>
 
+#include "model/checkpoint.h"
 #include "model/config_json.h"
-#include "model/depth_code.h"
 #include "model/safetensors.h"
+#include "model/training_samples.h"
 #include "model/widener.h"
 
 namespace lcdm::model {
@@ -17,36 +18,6 @@ namespace {
 // made.
 constexpr std::int64_t kSettled = 50;
 constexpr std::uint64_t kLossStream = 0x4C4F5353;  // keeps the losses' noise apart from the batches
-
-int multiple_of_32(double size) {
-  return std::max(64, static_cast<int>(std::lround(size / 32)) * 32);
-}
-
-// Whether any pictures are drawn for batches of the wide or of the 4:3 shape.
-bool is_drawn(const std::vector<Pack>& packs, bool wide) {
-  return std::any_of(packs.begin(), packs.end(), [wide](const Pack& pack) {
-    return !pack.train.empty() && (wide ? pack.use.wide_share : pack.use.tall_share) > 0;
-  });
-}
-
-// Of the images a process has of each batch; of the shapes that `packs` are drawn for.
-std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, int rank,
-                                    const std::vector<Pack>& packs) {
-  std::vector<BatchShape> shapes;
-  for (const auto& [width, height] : kDeployed) {
-    BatchShape shape;
-    shape.width = multiple_of_32(width * stage.share);
-    shape.height = multiple_of_32(height * stage.share);
-    shape.canonical_focal =
-        kCanonicalFocal * static_cast<float>(shape.width) / static_cast<float>(width);
-    shape.images = stage.images;
-    shape.first = rank * stage.images;
-    shape.wide = width > 2 * height;
-    shape.views = recipe.losses.photometric > 0 || recipe.losses.smoothness > 0;
-    if (is_drawn(packs, shape.wide)) shapes.push_back(shape);
-  }
-  return shapes;
-}
 
 // LibTorch's convolutions are several times faster when weights and pictures are channels-last.
 void use_channels_last(torch::nn::Module& network) {
@@ -60,45 +31,6 @@ void use_channels_last(torch::nn::Module& network) {
 std::int64_t count_learned_cameras(const std::vector<Pack>& packs) {
   return std::count_if(packs.begin(), packs.end(),
                        [](const Pack& pack) { return pack.use.learn_intrinsics; });
-}
-
-// To measure on: 16 batches of 8 samples of a stage's size, the same whatever its batch, both
-// shapes in turn.
-Result<std::vector<Batch>> make_samples(const Recipe& recipe, Stage stage,
-                                        const std::vector<Pack>& packs) {
-  constexpr std::uint64_t kBatches = 16;
-  stage.images = 8;
-  const std::vector<BatchShape> shapes = make_shapes(recipe, stage, 0, packs);
-  std::vector<Batch> batches;
-  for (std::uint64_t i = 0; i < kBatches; ++i) {
-    Result<Batch> batch = make_batch(packs, shapes[i % shapes.size()], ~recipe.seed, i);
-    if (!batch) return batch.status();
-    batches.push_back(std::move(*batch));
-  }
-  return batches;
-}
-
-// Mean and deviation of the teacher's logit (`lcdm` only).
-Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs) {
-  const auto batches = make_samples(recipe, recipe.stages.front(), packs);
-  if (!batches) return batches.status();
-  std::vector<torch::Tensor> logits;
-  for (const Batch& batch : *batches) {
-    const torch::Tensor& depth = batch.target.depth;
-    logits.push_back(variable_of_depth(depth.masked_select(depth > 0), ModelConfig{}));
-  }
-  const torch::Tensor all = torch::cat(logits);
-  if (all.numel() < 2) return Status::ok();  // no depth to learn from: photometric loss alone
-  config.variable_mean = std::round(all.mean().item<double>() * 1e4) / 1e4;
-  config.variable_std = std::round(all.std().item<double>() * 1e4) / 1e4;
-  return Status::ok();
-}
-
-Status check_shares(const std::vector<Pack>& packs) {
-  if (is_drawn(packs, true) || is_drawn(packs, false)) return Status::ok();
-  return Status::error(StatusCode::kInvalidInput,
-                       "no picture to train on: give a set of the catalogue a wide-share or a "
-                       "tall-share");
 }
 
 // Whether the head's norms are as they were made: neither moved by pictures nor trained.
@@ -118,25 +50,6 @@ double kept_share(const Recipe& recipe, std::int64_t steps) {
 }
 
 }  // namespace
-
-void collect(const torch::nn::Module& network, const std::string& prefix,
-             std::map<std::string, torch::Tensor>& tensors) {
-  for (const auto& item : network.named_parameters()) tensors[prefix + item.key()] = item.value();
-  for (const auto& item : network.named_buffers()) tensors[prefix + item.key()] = item.value();
-}
-
-bool restore(torch::nn::Module& network, const std::string& prefix,
-             const std::map<std::string, torch::Tensor>& tensors) {
-  const torch::NoGradGuard no_grad;
-  std::map<std::string, torch::Tensor> mine;
-  collect(network, prefix, mine);
-  for (auto& [name, tensor] : mine) {
-    const auto found = tensors.find(name);
-    if (found == tensors.end() || found->second.numel() != tensor.numel()) return false;
-    tensor.copy_(found->second.reshape(tensor.sizes()));
-  }
-  return true;
-}
 
 Compute one_cpu() {
   Compute compute;
@@ -473,24 +386,6 @@ Status Trainer::resume(const std::string& path) {
   if (divergence != tensors.end()) divergence_.restore(divergence->second);
   loader_.reset();
   return Status::ok();
-}
-
-Result<DepthNetwork> load_checkpoint(const std::string& path) {
-  const Result<TensorFile> file = read_tensors(path);
-  if (!file) return file.status();
-  const auto text = file->metadata.find("lcdm");
-  if (text == file->metadata.end()) {
-    return Status::error(StatusCode::kInvalidInput, "%s is not a training checkpoint",
-                         path.c_str());
-  }
-  const Result<ModelConfig> config = parse_model_config(text->second);
-  if (!config) return config.status();
-  DepthNetwork network(*config);
-  if (!restore(*network, "average.", file->tensors)) {
-    return Status::error(StatusCode::kInvalidInput, "%s holds no averaged weights", path.c_str());
-  }
-  network->eval();
-  return network;
 }
 
 }  // namespace lcdm::model

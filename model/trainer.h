@@ -132,14 +132,4 @@ class Trainer {
   float best_part_ = 0;                                  // the part of the training it is of
 };
 
-// Weights and buffers of `network` by name, with `prefix`.
-void collect(const torch::nn::Module& network, const std::string& prefix,
-             std::map<std::string, torch::Tensor>& tensors);
-// The reverse; false where one is missing or of another shape.
-bool restore(torch::nn::Module& network, const std::string& prefix,
-             const std::map<std::string, torch::Tensor>& tensors);
-
-// The averaged network of a checkpoint, for evaluation and export.
-Result<DepthNetwork> load_checkpoint(const std::string& path);
-
 }  // namespace lcdm::model

@@ -5,6 +5,7 @@
 #include <fstream>
 #include <gtest/gtest.h>
 
+#include "model/checkpoint.h"
 #include "model/csv.h"
 #include "model/safetensors.h"
 #include "model/scene_pack.h"
