@@ -20,6 +20,11 @@ Status run(const Options& options) {
   if (!recipe) return recipe.status();
   const Result<Compute> compute = compute_of(options.compute);
   if (!compute) return compute.status();
+  if (compute->processes->size() > 1) {
+    return Status::error(StatusCode::kUsage,
+                         "ablate trains in one process, and its tables would be written by each: "
+                         "start it without torchrun");
+  }
   const Result<Data> data = load_training_data(options.data);
   if (!data) return data.status();
   return ablate(*recipe, *data, *compute, options.ablation);

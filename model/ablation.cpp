@@ -6,6 +6,7 @@
 #include <span>
 
 #include "drivers/codec.h"
+#include "model/checkpoint.h"
 #include "model/dataset_files.h"
 #include "model/evaluation.h"
 #include "model/html_page.h"
@@ -112,8 +113,10 @@ Status write_csv(const fs::path& path, const std::vector<Score>& scores) {
     std::fprintf(file, "%s,%s,%d,%d,%s,%.5f,%.5f\n", s.table.c_str(), s.row.c_str(), s.steps,
                  s.seed, s.set.c_str(), s.metrics.abs_rel, s.metrics.delta1);
   }
-  if (std::fclose(file) != 0) return Status::system(errno, "cannot write %s", path.c_str());
-  return Status::ok();
+  const bool failed = std::ferror(file) != 0;
+  const bool closed = std::fclose(file) == 0;
+  if (closed && !failed) return Status::ok();
+  return Status::system(closed ? EIO : errno, "cannot write %s", path.c_str());
 }
 
 // "0.213 ± 0.004" of the seeds' values; without a spread where there is one seed.

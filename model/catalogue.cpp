@@ -4,6 +4,8 @@
 #include <toml.hpp>
 
 #include "firmware/base/folder.h"
+#include "firmware/nn/json.h"
+#include "model/dataset_files.h"
 #include "model/kitti_raw.h"
 #include "model/make3d.h"
 #include "model/nyu_depth.h"
@@ -16,6 +18,8 @@ namespace fs = std::filesystem;
 using Form = CatalogueEntry::Form;
 
 constexpr std::size_t kListedLast = 10;  // of a listed set without a split: every 10th validates
+
+constexpr std::size_t kMostTeacherBytes = 1U << 12;  // of a teacher.json
 
 enum class Purpose : std::uint8_t { kTrain, kTest };
 
@@ -96,8 +100,6 @@ Result<CatalogueEntry> read_entry(const std::string& file, const toml::value& va
                                                     {"make3d", Form::kMake3d}};
   static const std::map<std::string, Teacher> teachers = {
       {"sensor", Teacher::kSensor}, {"maps", Teacher::kMaps}, {"none", Teacher::kNone}};
-  static const std::map<std::string, Alignment> alignments = {
-      {"none", Alignment::kNone}, {"scale", Alignment::kScale}, {"affine", Alignment::kAffine}};
   CatalogueEntry entry;
   PackUse& use = entry.use;
   std::string protocol = "indoor";
@@ -106,7 +108,7 @@ Result<CatalogueEntry> read_entry(const std::string& file, const toml::value& va
   table.take("path", entry.path);
   table.take("teacher", teachers, use.teacher);
   table.take("maps", use.maps);
-  table.take("align", alignments, use.alignment);
+  table.take("align", alignment_names(), use.alignment);
   table.take("field-of-view", use.field_of_view);
   table.take("learn-intrinsics", use.learn_intrinsics);
   table.take("trust", use.weight);
@@ -130,7 +132,7 @@ Result<CatalogueEntry> read_entry(const std::string& file, const toml::value& va
 }
 
 Status read_entries(const std::string& file, const toml::value& root, const char* key,
-                    std::vector<CatalogueEntry>& entries) {
+                    bool must_have_a_share, std::vector<CatalogueEntry>& entries) {
   if (!root.contains(key)) return Status::ok();
   const toml::value& list = root.at(key);
   if (!list.is_array()) {
@@ -140,6 +142,10 @@ Status read_entries(const std::string& file, const toml::value& root, const char
   for (const toml::value& value : list.as_array()) {
     Result<CatalogueEntry> entry = read_entry(file, value);
     if (!entry) return entry.status();
+    if (must_have_a_share && !value.contains("wide-share") && !value.contains("tall-share")) {
+      return Table(file, value)
+          .fault("no wide-share or tall-share: it would never be drawn (0 if that is meant)");
+    }
     entries.push_back(std::move(*entry));
   }
   return Status::ok();
@@ -162,8 +168,8 @@ Status read_rendered(const std::string& file, const toml::value& root, const cha
 
 Result<Catalogue> catalogue_of(const std::string& file, const toml::value& root) {
   Catalogue catalogue;
-  LCDM_RETURN_IF_ERROR(read_entries(file, root, "train", catalogue.train));
-  LCDM_RETURN_IF_ERROR(read_entries(file, root, "test", catalogue.test));
+  LCDM_RETURN_IF_ERROR(read_entries(file, root, "train", true, catalogue.train));
+  LCDM_RETURN_IF_ERROR(read_entries(file, root, "test", false, catalogue.test));
   LCDM_RETURN_IF_ERROR(read_rendered(file, root, "scene", catalogue.scene));
   LCDM_RETURN_IF_ERROR(read_rendered(file, root, "medley", catalogue.medley));
   toml::value rest = root;
@@ -271,6 +277,22 @@ std::string maps_in(const fs::path& folder) {
   return {};
 }
 
+// What teach wrote beside its maps, {"align": "scale"}; without a file they are metres.
+Result<Alignment> alignment_in(const fs::path& maps) {
+  const fs::path file = maps / "teacher.json";
+  if (!fs::exists(file)) return Alignment::kNone;
+  const Result<std::string> text = dataset::read_bytes(file, kMostTeacherBytes);
+  if (!text) return text.status();
+  const Result<JsonValue> json = parse_json(*text);
+  const JsonValue* align = json && json->items().size() == 1 ? json->find("align") : nullptr;
+  const std::string name(align == nullptr ? "" : align->text().value_or(""));
+  const auto found = alignment_names().find(name);
+  if (found != alignment_names().end()) return found->second;
+  return Status::error(StatusCode::kInvalidInput,
+                       "%s: must be {\"align\": \"none\"}, or \"scale\" or \"affine\"",
+                       file.c_str());
+}
+
 // A pack of the user's own: trusted, for both shapes alike. Where it has no depth of a sensor it
 // has a teacher's.
 Result<CatalogueEntry> own_entry(const fs::path& folder) {
@@ -289,6 +311,9 @@ Result<CatalogueEntry> own_entry(const fs::path& folder) {
                          folder.c_str());
   }
   use.teacher = Teacher::kMaps;
+  const Result<Alignment> alignment = alignment_in(folder / maps);
+  if (!alignment) return alignment.status();
+  use.alignment = *alignment;
   return entry;
 }
 

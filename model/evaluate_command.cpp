@@ -3,9 +3,9 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "model/catalogue.h"
+#include "model/checkpoint.h"
 #include "model/commands.h"
 #include "model/evaluation.h"
-#include "model/trainer.h"
 
 namespace lcdm::model {
 namespace {
@@ -38,14 +38,13 @@ struct Candidate {
 // One row per frame, candidate and set.
 class FrameTable {
  public:
-  ~FrameTable() {
-    if (file_ != nullptr) std::fclose(file_);
-  }
+  ~FrameTable() { static_cast<void>(close()); }
   FrameTable() = default;
   FrameTable(const FrameTable&) = delete;
   FrameTable& operator=(const FrameTable&) = delete;
 
   Status open(const std::string& path) {
+    path_ = path;
     file_ = std::fopen(path.c_str(), "w");
     if (file_ == nullptr) return Status::system(errno, "--frames %s: cannot write", path.c_str());
     std::fprintf(file_, "set,estimate,frame,abs_rel,sq_rel,rmse,rmse_log,d1,d2,d3\n");
@@ -61,7 +60,18 @@ class FrameTable {
     }
   }
 
+  // Whether everything was kept.
+  Status close() {
+    if (file_ == nullptr) return Status::ok();
+    const bool failed = std::ferror(file_) != 0;
+    const bool closed = std::fclose(file_) == 0;
+    file_ = nullptr;
+    if (closed && !failed) return Status::ok();
+    return Status::system(closed ? EIO : errno, "--frames %s: cannot write", path_.c_str());
+  }
+
  private:
+  std::string path_;
   std::FILE* file_ = nullptr;
 };
 
@@ -77,8 +87,8 @@ void print_row(const std::string& set, const std::string& name, const SetResult&
     std::printf(" |\n");
   }
   if (result.missing > 0) {
-    std::fprintf(stderr, "%s, %s: %zu frames have no estimate or no ground truth\n", set.c_str(),
-                 name.c_str(), result.missing);
+    std::fprintf(stderr, "%s, %s: %zu frames have no usable estimate or no ground truth\n",
+                 set.c_str(), name.c_str(), result.missing);
   }
   std::fflush(stdout);
 }
@@ -101,8 +111,9 @@ void write_pictures(const fs::path& folder, const Pack& pack, const Candidate& c
 void evaluate_pack(const Options& options, const Pack& pack, Protocol protocol,
                    std::vector<Candidate> candidates, FrameTable& table) {
   if (pack.validation.empty()) return;
-  // Against the teacher's own maps there is nothing to learn about the teacher.
-  if (const fs::path maps = maps_beside_depth(pack); !maps.empty()) {
+  // Against the teacher's own maps there is nothing to learn about the teacher; and they are of the
+  // pictures as they were, not of blurred ones.
+  if (const fs::path maps = maps_beside_depth(pack); !maps.empty() && options.blur == 0) {
     candidates.push_back({"teacher " + pack.use.maps, maps_estimator(maps.string())});
   }
   protocol.median_scaling = !options.no_scaling;
@@ -121,26 +132,46 @@ void evaluate_pack(const Options& options, const Pack& pack, Protocol protocol,
   if (!options.pictures.empty()) write_pictures(options.pictures, pack, candidates.front());
 }
 
+bool is_asked_for(const Options& options, const Pack& pack) {
+  return options.pack.empty() || pack.use.name == options.pack;
+}
+
+// An empty table would say nothing of why.
+Status require_frames(const Options& options, const Data& data) {
+  bool found = false;
+  for (const Pack& pack : data.packs) {
+    if (!is_asked_for(options, pack)) continue;
+    if (!pack.validation.empty()) return Status::ok();
+    found = true;
+  }
+  if (!found && !options.pack.empty()) {
+    return Status::error(StatusCode::kUsage, "--only %s: no set of this name among the %s",
+                         options.pack.c_str(), options.test ? "test sets" : "training packs");
+  }
+  return Status::error(StatusCode::kUsage, "nothing to evaluate on: %s",
+                       options.test ? "the catalogue has no [[test]]"
+                                    : "no set has a validation part (sequences under 34 frames "
+                                      "only train)");
+}
+
 Status evaluate_all(const Options& options, const std::vector<Candidate>& candidates) {
   const Result<Data> data =
       options.test ? load_test_data(options.data) : load_training_data(options.data);
   if (!data) return data.status();
+  LCDM_RETURN_IF_ERROR(require_frames(options, *data));
   FrameTable table;
   if (!options.frames.empty()) LCDM_RETURN_IF_ERROR(table.open(options.frames));
   std::printf(
       "| set | estimate | frames | AbsRel | SqRel | RMSE | RMSElog | d1 | d2 | d3 | AbsRel minus "
       "the "
       "first's [95 %%] |\n|---|---|---|---|---|---|---|---|---|---|---|\n");
-  bool found = false;
   for (std::size_t i = 0; i < data->packs.size(); ++i) {
     const Pack& pack = data->packs[i];
-    if (!options.pack.empty() && pack.use.name != options.pack) continue;
-    found = true;
-    evaluate_pack(options, pack, data->protocols[i], candidates, table);
+    if (is_asked_for(options, pack)) {
+      evaluate_pack(options, pack, data->protocols[i], candidates, table);
+    }
   }
-  if (found) return Status::ok();
-  return Status::error(StatusCode::kUsage, "--only %s: no set of this name among the %s",
-                       options.pack.c_str(), options.test ? "test sets" : "training packs");
+  return table.close();
 }
 
 // The device's engine at each precision; says in the end how far its depth was from `exact`.
@@ -229,8 +260,10 @@ void add_evaluate(CLI::App& app, Status& status) {
           "The model file (--model) in the device's engine too, at fp32, fp16, bf16 or int8")
       ->needs(model)
       ->check(CLI::IsMember({"fp32", "fp16", "bf16", "int8"}));
-  command->add_option("--estimates", options->estimates, "Folder of NAME.tiff or NAME.png depth")
-      ->check(CLI::ExistingDirectory);
+  auto* estimates =
+      command
+          ->add_option("--estimates", options->estimates, "Folder of NAME.tiff or NAME.png depth")
+          ->check(CLI::ExistingDirectory);
   command->add_option("--only", options->pack, "Only the set of this name");
   command->add_option("--share", options->share, "Input size as a share of the deployed one")
       ->check(CLI::Range(0.2, 2.0))
@@ -238,6 +271,7 @@ void add_evaluate(CLI::App& app, Status& status) {
   command
       ->add_option("--blur", options->blur,
                    "Motion blur of this many pixels of a 640 pixels wide picture")
+      ->excludes(estimates)  // they are of the pictures as they were
       ->check(CLI::Range(0.0, 200.0));
   command->add_flag("--test", options->test, "The test sets instead of the validation parts");
   command->add_flag("--no-scaling", options->no_scaling,

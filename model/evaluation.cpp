@@ -10,7 +10,7 @@
 #include "model/batch.h"
 #include "model/depth_code.h"
 #include "model/folded_net.h"
-#include "model/trainer.h"
+#include "model/recipe.h"
 
 namespace lcdm::model {
 namespace {

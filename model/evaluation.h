@@ -48,7 +48,7 @@ struct FrameResult {
 struct SetResult {
   Metrics mean;
   std::vector<FrameResult> frames;
-  std::size_t missing = 0;  // frames without estimate, ground truth or readable files
+  std::size_t missing = 0;  // frames without usable estimate, ground truth or readable files
 };
 // `blur`: length of a motion blur in pixels, 0 for none.
 SetResult evaluate(const Frames& set, const std::vector<std::size_t>& frames,

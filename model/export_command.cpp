@@ -2,11 +2,11 @@
 #include <optional>
 
 #include "firmware/nn/model_file.h"
+#include "model/checkpoint.h"
 #include "model/choice_option.h"
 #include "model/commands.h"
 #include "model/exporter.h"
 #include "model/onnx_export.h"
-#include "model/trainer.h"
 
 namespace lcdm::model {
 namespace {

@@ -45,8 +45,7 @@ torch::Tensor masked_mean(const torch::Tensor& error, const torch::Tensor& mask,
                           const torch::Tensor& weight) {
   const torch::Tensor count = per_image_sum(mask.to(error.dtype()));
   const torch::Tensor sum = per_image_sum(torch::where(mask, error, torch::zeros_like(error)));
-  const torch::Tensor images = (count > 0).sum().clamp_min(1);
-  return (weight * sum / count.clamp_min(1)).sum() / images;
+  return (weight * sum / count.clamp_min(1)).mean();
 }
 
 torch::Tensor log_depth_loss(const torch::Tensor& log_depth, const torch::Tensor& log_target,

@@ -45,8 +45,8 @@ struct Losses {
   void add(const Losses& other);  // takes no gradients over
 };
 
-// Mean over the images that have a valid pixel of weight times the mean of |error| over its mask. A
-// weight of half is half the gradient, whatever the weights of the others.
+// Mean over the images of weight times the mean of |error| over its mask, 0 for one without a valid
+// pixel. A weight of half is half the gradient, whatever else is in the batch.
 torch::Tensor masked_mean(const torch::Tensor& error, const torch::Tensor& mask,
                           const torch::Tensor& weight);
 

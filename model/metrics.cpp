@@ -91,13 +91,14 @@ bool measure(const cv::Mat& estimate, const cv::Mat& truth, const Protocol& prot
       if (!(depth > protocol.nearest && depth < protocol.farthest)) continue;
       g.push_back(depth);
       p.push_back(resized.at<float>(y, x));
+      if (std::isnan(p.back())) return false;
     }
   }
   if (g.empty()) return false;
   double scale = 1;
   if (protocol.median_scaling) {
     const double middle = median_of(p);
-    if (!(middle > 0)) return false;
+    if (!(middle > 0 && std::isfinite(middle))) return false;
     scale = median_of(g) / middle;
   }
   for (float& value : p) {

@@ -272,6 +272,12 @@ std::vector<fs::path> pictures_of(const fs::path& folder, std::size_t every) {
 
 }  // namespace
 
+const std::map<std::string, Alignment>& alignment_names() {
+  static const std::map<std::string, Alignment> names = {
+      {"none", Alignment::kNone}, {"scale", Alignment::kScale}, {"affine", Alignment::kAffine}};
+  return names;
+}
+
 Split split_frames(const std::vector<std::string>& names) {
   std::map<std::string, std::vector<std::size_t>> sequences;
   for (std::size_t i = 0; i < names.size(); ++i) {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <opencv2/core.hpp>
 #include <string>
@@ -19,6 +20,9 @@ enum class Teacher : std::uint8_t { kSensor, kRenderer, kMaps, kNone };
 // What training adjusts in a teacher's depth before learning from it, always towards the student:
 // nothing, its scale, or scale and shift of its inverse depth (affine-invariant teachers).
 enum class Alignment : std::uint8_t { kNone, kScale, kAffine };
+
+// As catalogues and a teacher's folder name it: none, scale, affine.
+const std::map<std::string, Alignment>& alignment_names();
 
 // How a pack is used; one entry of the catalogue.
 struct PackUse {

@@ -7,10 +7,6 @@
 namespace lcdm::model {
 namespace {
 
-std::int64_t first_step(const Recipe& recipe, double share) {
-  return static_cast<std::int64_t>(std::ceil(share * static_cast<double>(recipe.steps)));
-}
-
 // From where to where the learning rate runs one course, and how high it starts.
 struct Course {
   std::int64_t first = 0;
@@ -75,7 +71,7 @@ std::string recipe_text(const Recipe& recipe) {
   };
   line("encoder", static_cast<int>(recipe.encoder));
   line("preset", static_cast<int>(recipe.preset));
-  line("start", static_cast<int>(recipe.start));
+  line("start", static_cast<int>(recipe.start.value_or(StartKind::kNoise)));
   line("seed", recipe.seed);
   line("steps", recipe.steps);
   for (const Stage& stage : recipe.stages) {
@@ -103,6 +99,10 @@ std::string recipe_text(const Recipe& recipe) {
   return text.str();
 }
 
+std::int64_t first_step(const Recipe& recipe, double share) {
+  return static_cast<std::int64_t>(std::ceil(share * static_cast<double>(recipe.steps)));
+}
+
 std::size_t stage_at(const Recipe& recipe, std::int64_t step) {
   std::size_t index = 0;
   while (index + 1 < recipe.stages.size() &&
@@ -126,7 +126,7 @@ ModelConfig model_config_of(const Recipe& recipe) {
   ModelConfig config;
   config.encoder = recipe.encoder;
   config.preset = recipe.preset;
-  config.start = recipe.start;
+  config.start = recipe.start.value_or(StartKind::kNoise);
   config.steps =
       recipe.preset == PresetKind::kLcdm ? std::vector<int>{149, 74} : std::vector<int>{75, 0};
   config.seed = 1;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -29,7 +30,7 @@ Result<Stage> parse_stage(const std::string& text);
 struct Recipe {
   EncoderKind encoder = EncoderKind::kXs;
   PresetKind preset = PresetKind::kLcdm;
-  StartKind start = StartKind::kNoise;
+  std::optional<StartKind> start;  // none: that of the weights it starts from, or noise
   std::uint64_t seed = 1;
   std::int64_t steps = 1000;
   std::vector<Stage> stages = {{0.5, 8, 0.8}, {1, 4, 1}};  // the last runs to the end
@@ -49,6 +50,9 @@ struct Recipe {
 
 // All of it, one "name = value" a line: equal texts train alike.
 std::string recipe_text(const Recipe& recipe);
+
+// The first step at or after `share` of them.
+std::int64_t first_step(const Recipe& recipe, double share);
 
 // Index of the stage that `step` belongs to.
 std::size_t stage_at(const Recipe& recipe, std::int64_t step);

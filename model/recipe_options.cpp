@@ -14,7 +14,8 @@ void add_network_options(CLI::App& command, Recipe& recipe) {
                                                    {"zeros", StartKind::kZeros}};
   add_choice(command, "--encoder", recipe.encoder, encoders, "Its size");
   add_choice(command, "--preset", recipe.preset, presets, "lcdm, or the paper's own");
-  add_choice(command, "--start", recipe.start, starts, "Where the sampler starts");
+  add_choice(command, "--start", recipe.start, starts,
+             "Where the sampler starts (as the weights of --from do, or noise)");
   command.add_option("--seed", recipe.seed, "Of weights, batches and noise")->capture_default_str();
 }
 

@@ -16,7 +16,7 @@ struct RecipeOptions {
 };
 void add_recipe_options(CLI::App& command, RecipeOptions& options);
 
-// kInvalidInput: a stage that is none, or stages out of order.
+// kUsage: a stage that is none, or stages out of order.
 Result<Recipe> recipe_of(const RecipeOptions& options);
 
 // Which device, how many loaders.
@@ -26,7 +26,7 @@ struct ComputeOptions {
 };
 void add_compute_options(CLI::App& command, ComputeOptions& options);
 
-// Joins the other processes, where there are some. kInvalidInput: no such device here. Errors as
+// Joins the other processes, where there are some. kUsage: no such device here. Errors as
 // Processes::join.
 Result<Compute> compute_of(const ComputeOptions& options);
 

@@ -6,6 +6,7 @@
 #include <fstream>
 #include <iterator>
 #include <sstream>
+#include <unistd.h>
 
 #include "firmware/nn/json.h"
 
@@ -68,7 +69,8 @@ bool write_all(const std::string& path, const TensorFile& file) {
     const torch::Tensor packed = tensor.detach().cpu().contiguous();
     good = good && std::fwrite(packed.data_ptr(), 1, packed.nbytes(), out) == packed.nbytes();
   }
-  good = std::fflush(out) == 0 && good;
+  // On the disk before it takes the old one's place: a power cut leaves one of the two.
+  good = std::fflush(out) == 0 && good && fsync(fileno(out)) == 0;
   const int write_error = errno;
   const bool closed = std::fclose(out) == 0;
   if (!good) errno = write_error;

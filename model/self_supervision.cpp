@@ -53,7 +53,7 @@ torch::Tensor photometric_loss(const torch::Tensor& target,
     errors.push_back(still + torch::randn(still.sizes(), generator).to(still.device()) * kTieBreak);
   }
   const torch::Tensor least = std::get<0>(torch::cat(errors, 1).min(1));
-  return (least.mean({1, 2}) * weight).sum() / weight.sum().clamp_min(1);
+  return (least.mean({1, 2}) * weight).mean();
 }
 
 torch::Tensor smoothness_loss(const torch::Tensor& inverse_depth, const torch::Tensor& image) {

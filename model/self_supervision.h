@@ -15,8 +15,8 @@ torch::Tensor photometric_error(const torch::Tensor& estimate, const torch::Tens
 
 // Equation 6 with minimum reprojection and auto-mask: of every pixel the least error over the
 // warped neighbours and over the neighbours as they stand (plus a draw of at most 1e-5 or so that
-// breaks ties); a pixel that needs no motion teaches nothing. Mean over the images, weighted by
-// `weight` [B]. Scalar.
+// breaks ties); a pixel that needs no motion teaches nothing. Mean over the images, each times
+// its `weight` [B]. Scalar.
 torch::Tensor photometric_loss(const torch::Tensor& target,
                                const std::vector<torch::Tensor>& warped,
                                const std::vector<torch::Tensor>& neighbours,

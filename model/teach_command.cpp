@@ -4,11 +4,11 @@
 
 #include "drivers/codec.h"
 #include "model/catalogue.h"
+#include "model/checkpoint.h"
 #include "model/choice_option.h"
 #include "model/commands.h"
 #include "model/evaluation.h"
 #include "model/torchscript_teacher.h"
-#include "model/trainer.h"
 
 namespace lcdm::model {
 namespace {
@@ -57,6 +57,22 @@ Result<Estimator> teacher_of(const Options& options) {
   });
 }
 
+// What of the maps is not to be believed, kept beside them: whoever trains on them aligns that.
+Status write_alignment(const fs::path& folder, const Options& options) {
+  using Gives = TorchscriptOptions::Gives;
+  const Gives gives = options.torchscript.file.empty() ? Gives::kDepth : options.torchscript.gives;
+  const Alignment alignment = gives == Gives::kDepth     ? Alignment::kNone
+                              : gives == Gives::kInverse ? Alignment::kScale
+                                                         : Alignment::kAffine;
+  std::string text;
+  for (const auto& [name, value] : alignment_names()) {
+    if (value == alignment) text = "{\"align\": \"" + name + "\"}\n";
+  }
+  std::error_code error;
+  fs::create_directories(folder, error);
+  return write_file((folder / "teacher.json").string(), std::as_bytes(std::span(text)));
+}
+
 Status run(const Options& options) {
   const Result<Estimator> teacher = teacher_of(options);
   if (!teacher) return teacher.status();
@@ -68,6 +84,7 @@ Status run(const Options& options) {
   const Result<Pack> pack = load_pack(folder.parent_path(), use, kFullWidth);
   if (!pack) return pack.status();
   const fs::path output = options.output.empty() ? folder / "teacher" : fs::path(options.output);
+  LCDM_RETURN_IF_ERROR(write_alignment(output, options));
   std::size_t without = 0;
   for (std::size_t i = 0; i < pack->frames->size(); ++i) {
     const Result<PackFrame> frame = pack->frames->read(i);
@@ -119,8 +136,8 @@ void add_teach(CLI::App& app, Status& status) {
       {"affine", TorchscriptOptions::Gives::kAffineInverse}};
   add_choice(*command, "--gives", options->torchscript.gives, gives,
              "What the module gives: depth (metres), inverse (depth of unknown scale; its maps' "
-             "median becomes 10 m, learn with align = \"scale\"), affine (inverse depth of unknown "
-             "scale and shift; learn with align = \"affine\")");
+             "median becomes 10 m, align = \"scale\"), affine (inverse depth of unknown scale and "
+             "shift, align = \"affine\"); the maps' teacher.json says it to train --pack");
   command->callback([options, &status] { status = run(*options); });
 }
 

@@ -1,8 +1,10 @@
+#include <algorithm>
 #include <csignal>
 #include <cstdio>
 #include <filesystem>
 
 #include "model/catalogue.h"
+#include "model/checkpoint.h"
 #include "model/commands.h"
 #include "model/dry_run.h"
 #include "model/recipe_options.h"
@@ -78,6 +80,8 @@ Status start_from_trained(const Options& options, Trainer& trainer) {
   return Status::ok();
 }
 
+fs::path checkpoint_in(const fs::path& folder) { return folder / "checkpoint.safetensors"; }
+
 // The folder of a run: checkpoint.safetensors is the last state, best.safetensors the one with the
 // best validation score.
 class Run {
@@ -90,7 +94,7 @@ class Run {
         leads_(leads),
         folder_(options.output) {}
 
-  std::string last() const { return (folder_ / "checkpoint.safetensors").string(); }
+  std::string last() const { return checkpoint_in(folder_).string(); }
 
   Status train(Processes& processes) {
     std::optional<TrainingLog> log;
@@ -157,13 +161,35 @@ std::string licence_of(const ModelConfig& config, const Data& data) {
   return data.licence + "; started from weights under: " + config.licence;
 }
 
+// A new training would replace the folder's checkpoint, best state and curve.
+Status require_unused(const Options& options) {
+  if (options.resume || options.dry_run || !fs::exists(checkpoint_in(options.output))) {
+    return Status::ok();
+  }
+  return Status::error(StatusCode::kUsage,
+                       "--output %s holds a training: give --resume or another --output",
+                       options.output.c_str());
+}
+
+// Without a frame to measure on no state is better than another.
+Status require_validation(const Options& options, const Data& data) {
+  const bool none = std::all_of(data.packs.begin(), data.packs.end(),
+                                [](const Pack& pack) { return pack.validation.empty(); });
+  if (options.validate_every == 0 || !none) return Status::ok();
+  return Status::error(StatusCode::kUsage,
+                       "--validate-every: nothing to validate on: sequences under 34 frames only "
+                       "train; leave it out, or give more data");
+}
+
 Status run(const Options& options) {
+  LCDM_RETURN_IF_ERROR(require_unused(options));
   const Result<Recipe> recipe = recipe_of(options.recipe);
   if (!recipe) return recipe.status();
   const Result<Compute> compute = compute_of(options.compute);
   if (!compute) return compute.status();
   const Result<Data> data = load_training_data(options.data);
   if (!data) return data.status();
+  LCDM_RETURN_IF_ERROR(require_validation(options, *data));
   if (options.dry_run) return dry_run(*recipe, data->packs, *compute);
 
   std::error_code error;

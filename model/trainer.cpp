@@ -5,45 +5,19 @@
 #include <cstdio>
 #include <future>
 
+#include "model/checkpoint.h"
 #include "model/config_json.h"
-#include "model/depth_code.h"
 #include "model/safetensors.h"
+#include "model/training_samples.h"
 #include "model/widener.h"
 
 namespace lcdm::model {
 namespace {
 
+// Steps until a head's statistics, which move by a tenth a step, hold nothing of how they were
+// made.
+constexpr std::int64_t kSettled = 50;
 constexpr std::uint64_t kLossStream = 0x4C4F5353;  // keeps the losses' noise apart from the batches
-
-int multiple_of_32(double size) {
-  return std::max(64, static_cast<int>(std::lround(size / 32)) * 32);
-}
-
-// Whether any pictures are drawn for batches of the wide or of the 4:3 shape.
-bool is_drawn(const std::vector<Pack>& packs, bool wide) {
-  return std::any_of(packs.begin(), packs.end(), [wide](const Pack& pack) {
-    return !pack.train.empty() && (wide ? pack.use.wide_share : pack.use.tall_share) > 0;
-  });
-}
-
-// Of the images a process has of each batch; of the shapes that `packs` are drawn for.
-std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, int rank,
-                                    const std::vector<Pack>& packs) {
-  std::vector<BatchShape> shapes;
-  for (const auto& [width, height] : kDeployed) {
-    BatchShape shape;
-    shape.width = multiple_of_32(width * stage.share);
-    shape.height = multiple_of_32(height * stage.share);
-    shape.canonical_focal =
-        kCanonicalFocal * static_cast<float>(shape.width) / static_cast<float>(width);
-    shape.images = stage.images;
-    shape.first = rank * stage.images;
-    shape.wide = width > 2 * height;
-    shape.views = recipe.losses.photometric > 0 || recipe.losses.smoothness > 0;
-    if (is_drawn(packs, shape.wide)) shapes.push_back(shape);
-  }
-  return shapes;
-}
 
 // LibTorch's convolutions are several times faster when weights and pictures are channels-last.
 void use_channels_last(torch::nn::Module& network) {
@@ -59,45 +33,6 @@ std::int64_t count_learned_cameras(const std::vector<Pack>& packs) {
                        [](const Pack& pack) { return pack.use.learn_intrinsics; });
 }
 
-// To measure on: 16 batches of 8 samples, the same whatever the recipe's batch, both shapes in
-// turn.
-Result<std::vector<Batch>> make_samples(const Recipe& recipe, const std::vector<Pack>& packs) {
-  constexpr std::uint64_t kBatches = 16;
-  Stage stage = recipe.stages.front();
-  stage.images = 8;
-  const std::vector<BatchShape> shapes = make_shapes(recipe, stage, 0, packs);
-  std::vector<Batch> batches;
-  for (std::uint64_t i = 0; i < kBatches; ++i) {
-    Result<Batch> batch = make_batch(packs, shapes[i % shapes.size()], ~recipe.seed, i);
-    if (!batch) return batch.status();
-    batches.push_back(std::move(*batch));
-  }
-  return batches;
-}
-
-// Mean and deviation of the teacher's logit (MODEL.md: `lcdm` only).
-Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs) {
-  const auto batches = make_samples(recipe, packs);
-  if (!batches) return batches.status();
-  std::vector<torch::Tensor> logits;
-  for (const Batch& batch : *batches) {
-    const torch::Tensor& depth = batch.target.depth;
-    logits.push_back(variable_of_depth(depth.masked_select(depth > 0), ModelConfig{}));
-  }
-  const torch::Tensor all = torch::cat(logits);
-  if (all.numel() < 2) return Status::ok();  // no depth to learn from: photometric loss alone
-  config.variable_mean = std::round(all.mean().item<double>() * 1e4) / 1e4;
-  config.variable_std = std::round(all.std().item<double>() * 1e4) / 1e4;
-  return Status::ok();
-}
-
-Status check_shares(const std::vector<Pack>& packs) {
-  if (is_drawn(packs, true) || is_drawn(packs, false)) return Status::ok();
-  return Status::error(StatusCode::kInvalidInput,
-                       "no picture to train on: give a set of the catalogue a wide-share or a "
-                       "tall-share");
-}
-
 // Whether the head's norms are as they were made: neither moved by pictures nor trained.
 bool is_new(const Head& head) {
   return !head->norm.empty() &&
@@ -108,26 +43,13 @@ bool is_new(const Head& head) {
          });
 }
 
+// Of the average, `steps` after its first: little as long as it is mostly how things began.
+double kept_share(const Recipe& recipe, std::int64_t steps) {
+  const auto n = static_cast<double>(steps);
+  return std::min(recipe.average, (1 + n) / (10 + n));
+}
+
 }  // namespace
-
-void collect(const torch::nn::Module& network, const std::string& prefix,
-             std::map<std::string, torch::Tensor>& tensors) {
-  for (const auto& item : network.named_parameters()) tensors[prefix + item.key()] = item.value();
-  for (const auto& item : network.named_buffers()) tensors[prefix + item.key()] = item.value();
-}
-
-bool restore(torch::nn::Module& network, const std::string& prefix,
-             const std::map<std::string, torch::Tensor>& tensors) {
-  const torch::NoGradGuard no_grad;
-  std::map<std::string, torch::Tensor> mine;
-  collect(network, prefix, mine);
-  for (auto& [name, tensor] : mine) {
-    const auto found = tensors.find(name);
-    if (found == tensors.end() || found->second.numel() != tensor.numel()) return false;
-    tensor.copy_(found->second.reshape(tensor.sizes()));
-  }
-  return true;
-}
 
 Compute one_cpu() {
   Compute compute;
@@ -181,7 +103,7 @@ void Trainer::spread_weights() {
 }
 
 Status Trainer::measure(torch::nn::Module& part, Answers answers) {
-  const auto batches = make_samples(recipe_, packs_);
+  const auto batches = make_samples(recipe_, recipe_.stages[stage_at(recipe_, step_)], packs_);
   if (!batches) return batches.status();
   std::vector<torch::Tensor> pictures;
   for (const Batch& batch : *batches) pictures.push_back(batch.rgb.to(compute_.device));
@@ -189,19 +111,26 @@ Status Trainer::measure(torch::nn::Module& part, Answers answers) {
   return Status::ok();
 }
 
-// The average's head is still the same: what holds for one holds for both.
+bool Trainer::freezes_a_young_head() const {
+  const std::int64_t freeze = first_step(recipe_, recipe_.freeze_from);
+  const std::int64_t trained = freeze - first_step(recipe_, recipe_.head_from);
+  return step_ == freeze && trained > 0 && trained < kSettled;
+}
+
 Status Trainer::measure_new_head() {
   Head& head = networks_->depth->head;
-  if (!has_head() || !past(recipe_.freeze_from) || !is_new(head)) return Status::ok();
+  const bool frozen_new = has_head() && past(recipe_.freeze_from) && is_new(head);
+  if (!frozen_new && !freezes_a_young_head()) return Status::ok();
   LCDM_RETURN_IF_ERROR(measure(*head, Answers::kNormalise));
-  std::map<std::string, torch::Tensor> tensors;
-  collect(*head, "", tensors);
-  restore(*average_->head, "", tensors);
+  const torch::NoGradGuard no_grad;
+  const auto measured = head->named_buffers();
+  for (auto& item : average_->head->named_buffers()) item.value().copy_(measured[item.key()]);
   return Status::ok();
 }
 
 Status Trainer::start_from(const DepthNetwork& trained, Known statistics) {
   ModelConfig& config = networks_->depth->config;
+  if (!recipe_.start) config.start = trained->config.start;
   if (trained->config.encoder == config.encoder && trained->config.preset == config.preset) {
     std::map<std::string, torch::Tensor> tensors;
     collect(*trained, "", tensors);
@@ -337,15 +266,18 @@ Losses Trainer::run_worker(int worker, int k, const Batch& part, double share) {
 
 void Trainer::update_average() {
   const torch::NoGradGuard no_grad;
-  const double keep = std::min(
-      recipe_.average, (1.0 + static_cast<double>(step_)) / (10.0 + static_cast<double>(step_)));
+  // The head joins later: what it was before is nothing to keep.
+  const auto joined = std::max<std::int64_t>(0, step_ - first_step(recipe_, recipe_.head_from));
+  const double keep = kept_share(recipe_, step_);
+  const double keep_of_head = kept_share(recipe_, joined);
   std::map<std::string, torch::Tensor> from;
   std::map<std::string, torch::Tensor> to;
   collect(*networks_->depth, "", from);
   collect(*average_, "", to);
   for (auto& [name, tensor] : to) {
     if (tensor.is_floating_point()) {
-      tensor.mul_(keep).add_(from[name], 1 - keep);
+      const double kept = name.rfind("head.", 0) == 0 ? keep_of_head : keep;
+      tensor.mul_(kept).add_(from[name], 1 - kept);
     } else {
       tensor.copy_(from[name]);
     }
@@ -454,24 +386,6 @@ Status Trainer::resume(const std::string& path) {
   if (divergence != tensors.end()) divergence_.restore(divergence->second);
   loader_.reset();
   return Status::ok();
-}
-
-Result<DepthNetwork> load_checkpoint(const std::string& path) {
-  const Result<TensorFile> file = read_tensors(path);
-  if (!file) return file.status();
-  const auto text = file->metadata.find("lcdm");
-  if (text == file->metadata.end()) {
-    return Status::error(StatusCode::kInvalidInput, "%s is not a training checkpoint",
-                         path.c_str());
-  }
-  const Result<ModelConfig> config = parse_model_config(text->second);
-  if (!config) return config.status();
-  DepthNetwork network(*config);
-  if (!restore(*network, "average.", file->tensors)) {
-    return Status::error(StatusCode::kInvalidInput, "%s holds no averaged weights", path.c_str());
-  }
-  network->eval();
-  return network;
 }
 
 }  // namespace lcdm::model

@@ -61,13 +61,14 @@ class Trainer {
   Result<Losses> advance();
 
   // Starts the depth network from weights trained before, also of a smaller encoder (widener.h);
-  // before the first step. Their licence comes with them; with `Known::kNo`, and in a wider
-  // network, the batch norms' statistics are measured on the first samples. kInvalidInput: another
-  // preset or shape, a larger encoder; errors as make_batch.
+  // before the first step. Their licence comes with them, and their sampler's start where the
+  // recipe names none; with `Known::kNo`, and in a wider network, the batch norms' statistics are
+  // measured on the first samples. kInvalidInput: another preset or shape, a larger encoder; errors
+  // as make_batch.
   Status start_from(const DepthNetwork& trained, Known statistics);
   // Starts encoder or pose network from others' weights; before the first step. The encoder's
   // statistics are measured: theirs are of pictures scaled in another way. Errors as
-  // weight_import.h and make_batch; kInvalidInput where there is no pose network.
+  // weight_import.h and make_batch; kUsage where there is no pose network.
   Result<ImportReport> start_encoder_from(const TensorFile& file, ChannelOrder order);
   Result<ImportReport> start_pose_from(const TensorFile& file);
 
@@ -97,10 +98,12 @@ class Trainer {
   bool past(double share) const;
   // What losses and scores can be compared within: the stage, with or without the head.
   float part() const;
-  // The batch-norm statistics of `part` of the depth network, on the first samples.
+  // The batch-norm statistics of `part` of the depth network, on samples of the present stage.
   Status measure(torch::nn::Module& part, Answers answers);
-  // The head's, where it joins after statistics are frozen: nothing has gone through it yet.
+  // The head's, where it joins after statistics are frozen, so that nothing has gone through it, or
+  // so shortly before that they are mostly how they were made.
   Status measure_new_head();
+  bool freezes_a_young_head() const;
   // The average and the replicas become what `networks_` is.
   void spread_weights();
   void prepare_loader();
@@ -128,15 +131,5 @@ class Trainer {
   float best_ = std::numeric_limits<float>::infinity();  // score
   float best_part_ = 0;                                  // the part of the training it is of
 };
-
-// Weights and buffers of `network` by name, with `prefix`.
-void collect(const torch::nn::Module& network, const std::string& prefix,
-             std::map<std::string, torch::Tensor>& tensors);
-// The reverse; false where one is missing or of another shape.
-bool restore(torch::nn::Module& network, const std::string& prefix,
-             const std::map<std::string, torch::Tensor>& tensors);
-
-// The averaged network of a checkpoint, for evaluation and export.
-Result<DepthNetwork> load_checkpoint(const std::string& path);
 
 }  // namespace lcdm::model

@@ -1,6 +1,7 @@
 // One number that says how good a network is while it trains, on frames it does not train on.
 #pragma once
 
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -20,7 +21,8 @@ struct Validation {
   // Mean over the sets of AbsRel as a share of a constant depth's: lower is better, 1 knows
   // nothing. Over the sets with a sensor's depth where there are some, or else the rendered ones:
   // renderings are not the world, and maps only say how alike the teacher is.
-  double score = 0;
+  // Infinite where no frame could be measured.
+  double score = std::numeric_limits<double>::infinity();
 };
 
 // At most `frames` frames of each pack's validation part, evenly spaced, at `share` of the deployed

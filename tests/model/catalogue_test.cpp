@@ -71,6 +71,7 @@ TEST_F(CatalogueTest, FaultsNameLineAndCure) {
   expect_fault("[[train]]\npath = \"a\"\nprotocol = \"x\"", "is no protocol");
   expect_fault("[[train]]\ntrust = 1", "has no path");
   expect_fault("[[train]]\npath = \"a\"\nvalidation-list = \"b\"", "only form = \"kitti-raw\"");
+  expect_fault("[[train]]\npath = \"a\"", ":1: no wide-share or tall-share");
   expect_fault("[medley]\nframes = -1", "frames must be a number, 0 or more");
   expect_fault("[medley]\nframes = 1e8", "more would show the worlds that validate");
   expect_fault("[train]\npath = \"a\"", "write [[train]]");
@@ -95,7 +96,8 @@ TEST(Catalogues, OfTheProjectAreWellFormed) {
 
 // Without depth nothing would be learnt, and nobody told.
 TEST_F(CatalogueTest, KittiNeedsASourceOfDepth) {
-  std::ofstream(path_) << "[[train]]\nform = \"kitti-raw\"\npath = \"kitti\"\nlist = \"a.txt\"\n";
+  std::ofstream(path_) << "[[train]]\nform = \"kitti-raw\"\npath = \"kitti\"\nlist = \"a.txt\"\n"
+                          "wide-share = 1\n";
   DataOptions options;
   options.catalogue = path_;
   const Result<Data> data = load_training_data(options);
@@ -146,6 +148,23 @@ TEST_F(OwnPack, LearnsFromItsTeacherWhereItHasNoDepth) {
   EXPECT_EQ(pack.use.maps, "teacher") << "which `lcdm-train teach` makes";
   EXPECT_FLOAT_EQ(pack.frames->read(0)->depth.at<float>(0, 0), 2);
   EXPECT_TRUE(maps_beside_depth(pack).empty()) << "nothing to compare it with";
+}
+
+// A module's inverse depth has no metres: `teach` says so beside its maps.
+TEST_F(OwnPack, AlignsItsTeacherAsThatSays) {
+  write_maps("teacher");
+  EXPECT_EQ(load()->packs.at(0).use.alignment, Alignment::kNone);
+  write(root_ / "teacher" / "teacher.json", R"({"align": "affine"})");
+  EXPECT_EQ(load()->packs.at(0).use.alignment, Alignment::kAffine);
+  for (const char* text : {"{}", "[]", R"({"align": "median"})", R"({"align": 1})",
+                           R"({"align": "scale", "trust": 1})", "align = scale"}) {
+    write(root_ / "teacher" / "teacher.json", text);
+    const Result<Data> data = load();
+    ASSERT_EQ(data.code(), StatusCode::kInvalidInput) << text;
+    EXPECT_NE(std::string(data.status().text()).find("teacher.json: must be"), std::string::npos);
+  }
+  write_depth(root_ / "depth" / "000000.png", no_depth(48, 64));
+  EXPECT_TRUE(load()) << "its own depth is what it learns from";
 }
 
 TEST_F(OwnPack, WithoutAnyDepthIsToldWhatMakesSome) {

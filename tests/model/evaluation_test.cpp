@@ -134,6 +134,12 @@ TEST(Validate, ScoresOnTheDepthThatIsBelievedMost) {
   }
 }
 
+// Not 0, than which no later score could be better.
+TEST(Validate, WithoutAFrameHasNoScore) {
+  DepthNetwork network{ModelConfig{}};
+  EXPECT_TRUE(std::isinf(validate(network, 0, 0.25, Data{}, 8).score));
+}
+
 // The file with LibTorch and in the engine, at the deployed size and at another: the same depth.
 TEST(EngineEstimator, IsFedAsTheFileIs) {
   const std::string path = "model/weights/lcdm-xxs.safetensors";

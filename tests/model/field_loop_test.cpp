@@ -74,7 +74,7 @@ TEST_F(FieldLoopTest, ADriveIsRecordedReplayedTrainedOnAndExported) {
 
   // It teaches in turn, and is compared on a page.
   run(LCDM_TRAIN_PROGRAM, {"teach", "--pack", path("pack"), "--model", path("tuned.safetensors")});
-  EXPECT_EQ(files_in(folder_ / "pack" / "teacher"), pictures);
+  EXPECT_EQ(files_in(folder_ / "pack" / "teacher"), pictures + 1);  // and teacher.json
   run(LCDM_TRAIN_PROGRAM, {"report", "--pack", path("pack"), "--model", path("tuned.safetensors"),
                            "--curve", path("training/curve.csv"), "--output", path("page.html")});
   EXPECT_GT(fs::file_size(path("page.html")), 5000U);

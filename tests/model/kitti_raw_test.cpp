@@ -129,7 +129,7 @@ TEST_F(KittiRaw, TrainsOnTheWholeListWhereAnotherValidates) {
   write(root_ / "val.txt", "2011_09_26/2011_09_26_drive_0002_sync 6 l\n");
   const std::string set = "root = \"" + root_.string() +
                           "\"\n[[train]]\nform = \"kitti-raw\"\npath = \"raw\"\n"
-                          "list = \"list.txt\"\nteacher = \"none\"\n";
+                          "list = \"list.txt\"\nteacher = \"none\"\ntall-share = 1\n";
   DataOptions options;
   options.catalogue = (root_ / "catalogue.toml").string();
   write(options.catalogue, set);

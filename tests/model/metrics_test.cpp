@@ -41,6 +41,18 @@ TEST(Metrics, CountOnlyDepthWithinTheProtocol) {
   EXPECT_FALSE(measure(estimate, cv::Mat::zeros(1, 4, CV_32F), indoor, m));
 }
 
+// One would make the mean of a whole set none.
+TEST(Metrics, RefuseAnEstimateThatIsNoNumber) {
+  const cv::Mat truth = (cv::Mat_<float>(1, 3) << 1, 2, 0);
+  Metrics m;
+  for (const float bad : {NAN, INFINITY}) {
+    EXPECT_FALSE(measure((cv::Mat_<float>(1, 3) << bad, bad, 1), truth, indoor, m)) << bad;
+  }
+  EXPECT_FALSE(measure((cv::Mat_<float>(1, 3) << 1, NAN, 1), truth, indoor, m));
+  EXPECT_TRUE(measure((cv::Mat_<float>(1, 3) << 1, 2, NAN), truth, indoor, m))
+      << "where nothing is known nothing is asked";
+}
+
 TEST(Metrics, GargCropLeavesOutTheSky) {
   cv::Mat truth(100, 100, CV_32F, cv::Scalar(10));
   cv::Mat estimate = truth.clone();

@@ -50,6 +50,18 @@ TEST(PhotometricLoss, TakesTheBestOfTheNeighboursPixelByPixel) {
   EXPECT_LT(loss, 0.25 * one);
 }
 
+// The same picture, once with its neighbours in time and once without.
+TEST(PhotometricLoss, AnImageWithoutNeighboursCountsAsZero) {
+  const torch::Tensor target = torch::rand({1, 3, 16, 16}).expand({2, -1, -1, -1});
+  const torch::Tensor warped = torch::zeros_like(target);
+  const auto loss = [&](const torch::Tensor& present) {
+    at::Generator random = generator();
+    return photometric_loss(target, {warped}, {warped}, present, random).item<double>();
+  };
+  const double both = loss(torch::ones({2}));
+  EXPECT_NEAR(loss(torch::tensor({1.0F, 0.0F})), both / 2, 1e-3 * both);
+}
+
 TEST(PhotometricLoss, GivesNoGradientWhereNothingMoved) {
   const torch::Tensor target = torch::rand({1, 3, 16, 16});
   torch::Tensor warped = torch::rand({1, 3, 16, 16}).requires_grad_();

@@ -69,6 +69,39 @@ TEST_F(TrainCli, RefusesACommandLineThatAsksForWhatCannotBe) {
   expect_refusal({"train", "--stage", "1:2"}, 2, "SHARE:IMAGES:UNTIL");
 }
 
+// A new training would destroy it.
+TEST_F(TrainCli, RefusesAFolderThatHoldsATraining) {
+  write("checkpoint.safetensors", "hours of work");
+  expect_refusal({"train", "--output", folder_.string()}, 2, "holds a training: give --resume");
+  std::string kept;
+  std::getline(std::ifstream(folder_ / "checkpoint.safetensors"), kept);
+  EXPECT_EQ(kept, "hours of work");
+}
+
+// As packs of fewer than 34 pictures have no validation part.
+TEST_F(TrainCli, RefusesToMeasureOnNothing) {
+  const std::string catalogue = write("data.toml", "");
+  const std::string estimates = folder_.string();
+  expect_refusal({"evaluate", "--data", catalogue, "--estimates", estimates}, 2,
+                 "nothing to evaluate on");
+  expect_refusal({"train", "--data", catalogue, "--validate-every", "5", "--output",
+                  (folder_ / "training").string()},
+                 2, "nothing to validate on");
+}
+
+TEST_F(TrainCli, RefusesEstimatesOfOtherPicturesThanBlurredOnes) {
+  expect_refusal({"evaluate", "--estimates", folder_.string(), "--blur", "20"}, 2, "--blur");
+}
+
+TEST_F(TrainCli, SaysThatTheFiguresOfFramesCouldNotBeKept) {
+  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
+  test::Program program(LCDM_TRAIN_PROGRAM,
+                        {"evaluate", "--data", write("data.toml", "[scene]\nframes = 1\n"),
+                         "--estimates", folder_.string(), "--frames", "/dev/full"});
+  EXPECT_EQ(program.wait(60), 1) << program.text();
+  EXPECT_THAT(program.text(), HasSubstr("--frames /dev/full: cannot write"));
+}
+
 TEST_F(TrainCli, RefusesDataAndWeightsThatNoRetryCures) {
   expect_refusal({"train", "--data", "/nowhere.toml"}, 78, "/nowhere.toml");
   expect_refusal({"train", "--data", write("data.toml", "[[train]\n")}, 78, "data.toml");

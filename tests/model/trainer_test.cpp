@@ -5,6 +5,7 @@
 #include <fstream>
 #include <gtest/gtest.h>
 
+#include "model/checkpoint.h"
 #include "model/csv.h"
 #include "model/safetensors.h"
 #include "model/scene_pack.h"
@@ -48,6 +49,16 @@ bool same_weights(Trainer& a, Trainer& b) {
     if (!torch::equal(tensor, right[name])) return false;
   }
   return true;
+}
+
+// All that a training is made of: weights, optimiser, counters.
+std::map<std::string, torch::Tensor> state_of(const Trainer& trainer) {
+  const std::string path = scratch("lcdm-state.safetensors");
+  EXPECT_TRUE(trainer.save(path));
+  const Result<TensorFile> file = read_tensors(path);
+  EXPECT_TRUE(file) << file.status().text();
+  fs::remove(path);
+  return file->tensors;
 }
 
 std::unique_ptr<Trainer> trainer_of(const Recipe& recipe,
@@ -103,7 +114,10 @@ void expect_exact_resume(double freeze_from) {
   EXPECT_FALSE(resumed->note_score(0.6)) << "the best score is part of the checkpoint";
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(resumed->advance());
   EXPECT_TRUE(resumed->done());
-  EXPECT_TRUE(same_weights(*straight, *resumed));
+  const auto wanted = state_of(*straight);
+  const auto got = state_of(*resumed);
+  ASSERT_EQ(got.size(), wanted.size());
+  for (const auto& [name, tensor] : wanted) EXPECT_TRUE(torch::equal(tensor, got.at(name))) << name;
   fs::remove(path);
 }
 
@@ -126,6 +140,60 @@ TEST(Trainer, MeasuresAHeadThatJoinsAfterStatisticsAreFrozen) {
   EXPECT_FALSE(moved(0)) << "the head has not joined";
   ASSERT_TRUE(trainer->advance());
   EXPECT_TRUE(moved(0) && moved(1));
+}
+
+// So do those of a few pictures: a tenth of the way is made in each step.
+TEST(Trainer, MeasuresAHeadThatJoinsShortlyBeforeStatisticsAreFrozen) {
+  Recipe recipe = small_recipe();
+  recipe.steps = 3;
+  recipe.head_from = 0;
+  recipe.freeze_from = 0.5;  // from the third step on
+  const auto trainer = trainer_of(recipe);
+  const auto spread = [&] {
+    return trainer->averaged()->head->norm[0]->running_var.log().abs().max().item<float>();
+  };
+  for (int i = 0; i < 2; ++i) ASSERT_TRUE(trainer->advance());
+  const float of_two_steps = spread();
+  ASSERT_TRUE(trainer->advance());
+  EXPECT_GT(spread(), 3 * of_two_steps);
+}
+
+// The stage in which the head joins is the first of one recipe and the second of the other.
+TEST(Trainer, MeasuresANewHeadAtThePresentSize) {
+  const std::string path = scratch("lcdm-present-size.safetensors");
+  at::set_num_threads(1);
+  Recipe recipe = small_recipe();
+  recipe.steps = 2;
+  recipe.freeze_from = 0;
+  recipe.head_from = 0.5;
+  recipe.stages = {{0.2, 2, 0.5}, {0.4, 2, 1}};
+  const auto second = trainer_of(recipe);
+  ASSERT_TRUE(second->advance());
+  ASSERT_TRUE(second->save(path));
+  recipe.stages = {{0.4, 2, 1}};
+  const auto first = trainer_of(recipe);
+  ASSERT_TRUE(first->resume(path));
+  ASSERT_TRUE(first->advance());
+  ASSERT_TRUE(second->advance());
+  EXPECT_TRUE(same_weights(*first, *second));
+  fs::remove(path);
+}
+
+// However long the rest has been trained, the first average of the head is mostly the head.
+TEST(Trainer, AveragesAHeadFromWhereItJoins) {
+  Recipe recipe = small_recipe();
+  recipe.steps = 40;
+  recipe.head_from = 0.95;
+  recipe.warm_up = 1;
+  const auto trainer = trainer_of(recipe);
+  for (int i = 0; i < 38; ++i) ASSERT_TRUE(trainer->advance());
+  const torch::Tensor before = trainer->averaged()->head->conv1->weight.detach().clone();
+  for (int i = 0; i < 2; ++i) ASSERT_TRUE(trainer->advance());
+  const auto state = state_of(*trainer);
+  const torch::Tensor trained = state.at("network.depth.head.conv1.weight");
+  const torch::Tensor averaged = state.at("average.head.conv1.weight");
+  EXPECT_LT((averaged - trained).norm().item<float>(),
+            0.2 * (before - trained).norm().item<float>());
 }
 
 // Everything of the paper at once on a moving camera: each term is there and the step is finite.
@@ -273,6 +341,16 @@ TEST(Trainer, StartsFromTrainedWeights) {
   ModelConfig wider = first->config();
   wider.decoder_widths[0] *= 2;
   EXPECT_EQ(second->start_from(DepthNetwork(wider), Known::kYes).code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(second->config().start, StartKind::kNoise);
+  DepthNetwork from_zeros(first->config());
+  from_zeros->config.start = StartKind::kZeros;
+  ASSERT_TRUE(second->start_from(from_zeros, Known::kYes));
+  EXPECT_EQ(second->config().start, StartKind::kZeros) << "the weights learnt to start there";
+  EXPECT_EQ(second->averaged()->config.start, StartKind::kZeros);
+  recipe.start = StartKind::kNoise;
+  const auto told = trainer_of(recipe);
+  ASSERT_TRUE(told->start_from(from_zeros, Known::kYes));
+  EXPECT_EQ(told->config().start, StartKind::kNoise) << "who says so gets it";
   recipe.encoder = EncoderKind::kXs;
   const auto larger = trainer_of(recipe);
   ASSERT_TRUE(larger->start_from(first->averaged(), Known::kYes));

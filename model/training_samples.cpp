@@ -1,0 +1,78 @@
+#include "model/training_samples.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "model/depth_code.h"
+
+namespace lcdm::model {
+namespace {
+
+int multiple_of_32(double size) {
+  return std::max(64, static_cast<int>(std::lround(size / 32)) * 32);
+}
+
+// Whether any pictures are drawn for batches of the wide or of the 4:3 shape.
+bool is_drawn(const std::vector<Pack>& packs, bool wide) {
+  return std::any_of(packs.begin(), packs.end(), [wide](const Pack& pack) {
+    return !pack.train.empty() && (wide ? pack.use.wide_share : pack.use.tall_share) > 0;
+  });
+}
+
+}  // namespace
+
+std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, int rank,
+                                    const std::vector<Pack>& packs) {
+  std::vector<BatchShape> shapes;
+  for (const auto& [width, height] : kDeployed) {
+    BatchShape shape;
+    shape.width = multiple_of_32(width * stage.share);
+    shape.height = multiple_of_32(height * stage.share);
+    shape.canonical_focal =
+        kCanonicalFocal * static_cast<float>(shape.width) / static_cast<float>(width);
+    shape.images = stage.images;
+    shape.first = rank * stage.images;
+    shape.wide = width > 2 * height;
+    shape.views = recipe.losses.photometric > 0 || recipe.losses.smoothness > 0;
+    if (is_drawn(packs, shape.wide)) shapes.push_back(shape);
+  }
+  return shapes;
+}
+
+Result<std::vector<Batch>> make_samples(const Recipe& recipe, Stage stage,
+                                        const std::vector<Pack>& packs) {
+  constexpr std::uint64_t kBatches = 16;
+  stage.images = 8;
+  const std::vector<BatchShape> shapes = make_shapes(recipe, stage, 0, packs);
+  std::vector<Batch> batches;
+  for (std::uint64_t i = 0; i < kBatches; ++i) {
+    Result<Batch> batch = make_batch(packs, shapes[i % shapes.size()], ~recipe.seed, i);
+    if (!batch) return batch.status();
+    batches.push_back(std::move(*batch));
+  }
+  return batches;
+}
+
+Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs) {
+  const auto batches = make_samples(recipe, recipe.stages.front(), packs);
+  if (!batches) return batches.status();
+  std::vector<torch::Tensor> logits;
+  for (const Batch& batch : *batches) {
+    const torch::Tensor& depth = batch.target.depth;
+    logits.push_back(variable_of_depth(depth.masked_select(depth > 0), ModelConfig{}));
+  }
+  const torch::Tensor all = torch::cat(logits);
+  if (all.numel() < 2) return Status::ok();  // no depth to learn from: photometric loss alone
+  config.variable_mean = std::round(all.mean().item<double>() * 1e4) / 1e4;
+  config.variable_std = std::round(all.std().item<double>() * 1e4) / 1e4;
+  return Status::ok();
+}
+
+Status check_shares(const std::vector<Pack>& packs) {
+  if (is_drawn(packs, true) || is_drawn(packs, false)) return Status::ok();
+  return Status::error(StatusCode::kInvalidInput,
+                       "no picture to train on: give a set of the catalogue a wide-share or a "
+                       "tall-share");
+}
+
+}  // namespace lcdm::model

@@ -1,0 +1,28 @@
+// Which batches a training asks for, and what it measures on some of them before it begins.
+#pragma once
+
+#include <vector>
+
+#include "firmware/base/status.h"
+#include "model/batch.h"
+#include "model/pack.h"
+#include "model/recipe.h"
+
+namespace lcdm::model {
+
+// Of the images that process `rank` has of each batch; of the shapes that `packs` are drawn for.
+std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, int rank,
+                                    const std::vector<Pack>& packs);
+
+// To measure on: 16 batches of 8 samples of a stage's size, the same whatever its batch, both
+// shapes in turn. Errors as make_batch.
+Result<std::vector<Batch>> make_samples(const Recipe& recipe, Stage stage,
+                                        const std::vector<Pack>& packs);
+
+// Mean and deviation of the teacher's logit (`lcdm` only). Errors as make_batch.
+Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs);
+
+// kInvalidInput: nothing is ever drawn of any pack.
+Status check_shares(const std::vector<Pack>& packs);
+
+}  // namespace lcdm::model
