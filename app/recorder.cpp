@@ -12,7 +12,6 @@
 #include <system_error>
 #include <unistd.h>
 
-#include "firmware/base/folder.h"
 #include "firmware/base/os.h"
 #include "firmware/wire/foxglove.h"
 
@@ -309,7 +308,7 @@ Status Recorder::FileSink::open(const std::string& path, std::int64_t keep_free_
   keep_free_bytes_ = keep_free_bytes;
   fd_ = ::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0640);
   if (fd_ < 0) return Status::system(errno, "recording: cannot create %s", path.c_str());
-  sync_folder(fs::path(path).parent_path());
+  os::sync_folder(fs::path(path).parent_path().c_str());
   return check_room();
 }
 

@@ -13,7 +13,7 @@
 #include <unistd.h>
 
 #include "drivers/codec.h"
-#include "firmware/base/folder.h"
+#include "firmware/base/os.h"
 
 namespace lcdm {
 namespace {
@@ -308,7 +308,7 @@ Status replace_file(const std::string& path, std::span<const std::byte> bytes) {
                        std::rename(unfinished.c_str(), path.c_str()) == 0;
   const int fault = errno;
   if (written) {
-    sync_folder(std::filesystem::path(path).parent_path());
+    os::sync_folder(std::filesystem::path(path).parent_path().c_str());
     return Status::ok();
   }
   std::remove(unfinished.c_str());

@@ -38,16 +38,6 @@ const char* cure_of(int sys_errno) {
 
 }  // namespace
 
-std::string printable(std::string_view text) {
-  std::string result;
-  for (const char letter : text) {
-    const auto byte = static_cast<unsigned char>(letter);
-    const bool second_of_control = byte >= 0x80 && byte <= 0x9F && result.ends_with('\xC2');
-    result += byte < 0x20 || byte == 0x7F || second_of_control ? '?' : letter;
-  }
-  return result;
-}
-
 Status V4l2Device::open(const std::string& path) {
   close();
   path_ = path;

@@ -8,6 +8,7 @@
 #include <string>
 #include <string_view>
 
+#include "firmware/base/printable.h"
 #include "firmware/base/status.h"
 
 namespace lcdm {
@@ -53,10 +54,7 @@ class V4l2Device {
   std::string bus_;
 };
 
-// A device's own words, which go to terminals and logs: control characters become question marks.
-std::string printable(std::string_view text);
-
-// A kernel's text field, which need not end in zero.
+// A kernel's text field, which need not end in zero. Its words are the device's own.
 template <std::size_t kSize>
 std::string bounded_text(const std::uint8_t (&field)[kSize]) {
   const std::string_view text(reinterpret_cast<const char*>(field), kSize);

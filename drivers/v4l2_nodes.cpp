@@ -12,6 +12,7 @@
 #include "drivers/v4l2_device.h"
 #include "drivers/v4l2_formats.h"
 #include "firmware/base/folder.h"
+#include "firmware/base/printable.h"
 
 namespace lcdm {
 namespace {

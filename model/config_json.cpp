@@ -3,6 +3,7 @@
 #include <iomanip>
 #include <sstream>
 
+#include "firmware/base/printable.h"
 #include "model/safetensors.h"
 
 namespace lcdm::model {
@@ -15,9 +16,18 @@ std::string array(const T& values) {
   return out + "]";
 }
 
+Status check_text(const char* key, const std::string& text) {
+  if (find_control(text) == std::string::npos) return Status::ok();
+  return Status::error(StatusCode::kInvalidInput,
+                       "`%s` must be one line of text without control characters", key);
+}
+
 }  // namespace
 
 Result<std::string> config_json(const ModelConfig& config) {
+  LCDM_RETURN_IF_ERROR(check_text("licence", config.licence));
+  LCDM_RETURN_IF_ERROR(check_text("name", config.name));
+  LCDM_RETURN_IF_ERROR(check_text("card", config.card));
   std::string sizes = "[";
   for (const auto& size : config.trained_sizes)
     sizes += (sizes.size() > 1 ? ", " : "") + array(size);

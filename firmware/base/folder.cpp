@@ -1,8 +1,6 @@
 #include "firmware/base/folder.h"
 
 #include <algorithm>
-#include <fcntl.h>
-#include <unistd.h>
 
 namespace lcdm {
 
@@ -17,14 +15,6 @@ Result<std::vector<std::filesystem::path>> list_folder(const std::filesystem::pa
   if (error) return Status::system(error.value(), "%s: cannot list", folder.c_str());
   std::sort(paths.begin(), paths.end());
   return paths;
-}
-
-void sync_folder(const std::filesystem::path& folder) noexcept {
-  const int descriptor =
-      open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  if (descriptor < 0) return;
-  fsync(descriptor);
-  close(descriptor);
 }
 
 }  // namespace lcdm

@@ -12,7 +12,4 @@ namespace lcdm {
 // others: it cannot be listed.
 Result<std::vector<std::filesystem::path>> list_folder(const std::filesystem::path& folder);
 
-// Makes the names in `folder` last through a power cut, where its file system can.
-void sync_folder(const std::filesystem::path& folder) noexcept;
-
 }  // namespace lcdm

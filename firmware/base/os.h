@@ -1,4 +1,5 @@
-// The only place in firmware/ that calls the operating system: clocks, pages, threads.
+// The only place in firmware/ that calls the operating system: clocks, pages, threads,
+// files where the standard library has no way.
 #pragma once
 
 #include <cstddef>
@@ -47,5 +48,9 @@ std::size_t peak_rss_bytes();
 
 // Minor plus major page faults of all threads of this process so far.
 std::int64_t page_faults();
+
+// Makes the names in a folder ("" is the present one) last through a power cut, where its file
+// system can.
+void sync_folder(const char* folder) noexcept;
 
 }  // namespace lcdm::os

@@ -4,6 +4,8 @@
 #include <set>
 #include <utility>
 
+#include "firmware/base/printable.h"
+
 namespace lcdm {
 
 std::optional<double> JsonValue::number() const {
@@ -135,7 +137,9 @@ class JsonParser {
     while (at_ < text_.size()) {
       const char c = text_[at_];
       ++at_;
-      if (c == '"') return !has_control(out) || fail("control character in a string");
+      if (c == '"') {
+        return find_control(out) == std::string::npos || fail("control character in a string");
+      }
       if (c != '\\') {
         out += c;
       } else if (!escape(out)) {
@@ -143,17 +147,6 @@ class JsonParser {
       }
     }
     return fail("unterminated string");
-  }
-
-  // What would steer a terminal that it is printed on: C0, DEL and, in UTF-8, C1.
-  static bool has_control(std::string_view text) {
-    unsigned char before = 0;
-    for (const char each : text) {
-      const auto c = static_cast<unsigned char>(each);
-      if (c < 0x20 || c == 0x7F || (before == 0xC2 && c >= 0x80 && c < 0xA0)) return true;
-      before = c;
-    }
-    return false;
   }
 
   bool escape(std::string& out) {

@@ -7,7 +7,7 @@
 #include <sys/fsuid.h>
 
 #include "drivers/v4l2_camera.h"
-#include "drivers/v4l2_device.h"
+#include "firmware/base/printable.h"
 #include "tests/support/fake_v4l2.h"
 
 namespace lcdm {
@@ -68,7 +68,7 @@ TEST_F(V4l2NodesTest, ListsAUsableNodeWithItsName) {
   EXPECT_EQ(nodes[0].usb, "") << "it is not on USB";
 }
 
-// Its maker, or whoever made it look so, decides what is in it.
+// Its maker, or whoever made it look so, decides what is in a device's name.
 TEST(DevicesOwnWords, SteerNoTerminal) {
   EXPECT_EQ(printable("Cam\x1b]0;x\x07\n\x7f"), "Cam?]0;x???");
   EXPECT_EQ(printable("Cam\xC2\x9B 2"), "Cam\xC2? 2") << "a control character of two bytes";
