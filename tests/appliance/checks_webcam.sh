@@ -18,7 +18,7 @@ webcam_comes() {
   echo "$link, $driver, $(status .source.description)"
   [[ $driver == uvcvideo ]]
 }
-plug_webcam_in() { on_guest "systemd-run --quiet --unit webcam /root/webcam $webcam_folder"; }
+plug_webcam_in() { on_guest "systemd-run --quiet -p KillMode=mixed --unit webcam /root/webcam $webcam_folder"; }
 
 # Its firmware hangs: it answers the host, but there are no frames, whatever stream is begun or opened.
 webcam_hangs() { on_guest 'pkill -STOP -P $(systemctl show webcam -p MainPID --value)' >&2; }

@@ -20,6 +20,7 @@
 #include <linux/usb/ch9.h>
 #include <linux/usb/gadgetfs.h>
 #include <linux/usb/video.h>
+#include <poll.h>
 #include <string>
 #include <string_view>
 #include <sys/wait.h>
@@ -196,13 +197,23 @@ class Webcam {
     if (control_ < 0 || write(control_, description.data(), description.size()) < 0) fail(file);
   }
 
-  [[noreturn]] void serve() {
-    for (;;) {
+  // Until SIGTERM. The child ends first: gadgetfs does not survive a device that goes while
+  // something is being written to it.
+  void serve() {
+    sigset_t during_wait;
+    sigset_t term;
+    sigemptyset(&term);
+    sigaddset(&term, SIGTERM);
+    sigprocmask(SIG_BLOCK, &term, &during_wait);
+    signal(SIGTERM, [](int) {});
+    pollfd request{control_, POLLIN, 0};
+    while (ppoll(&request, 1, nullptr, &during_wait) >= 0) {
       usb_gadgetfs_event event{};
       if (read(control_, &event, sizeof(event)) < 0) fail("control");
       if (event.type == GADGETFS_SETUP) answer(event.u.setup);
       if (event.type == GADGETFS_DISCONNECT) stop();  // also what a reset of the port is
     }
+    stop();
   }
 
  private:
