@@ -142,9 +142,12 @@ int probe(bool as_json) {
     return kExitOk;
   }
   std::vector<V4l2Node> all;
+  all.reserve(nodes.size());
   for (const Probed& probed : nodes) all.push_back(probed.node);
   for (const Probed& probed : nodes) print_node(probed, all);
-  for (const std::string& id : ids) std::printf("--source 'libcamera:%s'\n", id.c_str());
+  for (const std::string& id : ids) {
+    std::printf("--source %s\n", quoted("libcamera:" + id).c_str());
+  }
   if (nodes.empty() && ids.empty()) std::printf("no camera found (no /dev/video*)\n");
   return kExitOk;
 }
