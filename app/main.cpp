@@ -31,18 +31,12 @@ void keep_heap_small() {
   mallopt(M_MMAP_THRESHOLD, kLargeBlock);  // NOLINT(concurrency-mt-unsafe)
 }
 
-// LCDM_ISA=NAME: the kernels' instruction set, to compare them or to avoid one.
-lcdm::Status choose_isa() {
-  const char* name = std::getenv("LCDM_ISA");  // NOLINT(concurrency-mt-unsafe): no threads yet
-  return name == nullptr ? lcdm::Status::ok() : lcdm::kernels::force_isa(name);
-}
-
 }  // namespace
 
 int main(int argc, char** argv) {
   quiet_libraries();
   keep_heap_small();
-  if (const lcdm::Status status = choose_isa(); !status) {
+  if (const lcdm::Status status = lcdm::kernels::force_isa_of_environment(); !status) {
     std::fprintf(stderr, "lcdm: %s\n", status.text());
     return lcdm::kExitUsage;
   }

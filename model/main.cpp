@@ -46,17 +46,11 @@ void require_section(const CLI::App& app, const std::string& recipe) {
                          CLI::ExitCodes::ConfigError);
 }
 
-// LCDM_ISA=NAME, as for lcdm: where commands run the engine.
-lcdm::Status choose_isa() {
-  const char* name = std::getenv("LCDM_ISA");
-  return name == nullptr ? lcdm::Status::ok() : lcdm::kernels::force_isa(name);
-}
-
 }  // namespace
 
 int main(int argc, char** argv) {
   restart_with_environment(argv);
-  if (const lcdm::Status status = choose_isa(); !status) {
+  if (const lcdm::Status status = lcdm::kernels::force_isa_of_environment(); !status) {
     std::fprintf(stderr, "lcdm-train: %s\n", status.text());
     return lcdm::kExitUsage;
   }

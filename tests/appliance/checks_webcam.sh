@@ -1,13 +1,14 @@
 # A USB camera whose driver is the kernel's, for all webcams: webcam.cpp on a simulated bus. Sourced by
 # run.sh.
 
+webcam=/usr/local/bin/webcam
 webcam_folder=/dev/gadget
 
 # The bus has room for one device: the board's own gadget goes.
 webcam_comes() {
   local program=$work/webcam link driver
   "$compiler" -std=c++20 -O1 -o "$program" tests/appliance/webcam.cpp >&2 || return
-  to_guest "$program" /root/webcam || return
+  to_guest "$program" "$webcam" || return
   on_guest "systemctl stop lcdm-usb; modprobe -a dummy_hcd gadgetfs &&
     mkdir -p $webcam_folder && mount -t gadgetfs none $webcam_folder" >&2 || return
   plug_webcam_in >&2 || return
@@ -18,7 +19,7 @@ webcam_comes() {
   echo "$link, $driver, $(status .source.description)"
   [[ $driver == uvcvideo ]]
 }
-plug_webcam_in() { on_guest "systemd-run --quiet -p KillMode=mixed --unit webcam /root/webcam $webcam_folder"; }
+plug_webcam_in() { on_guest "systemd-run --quiet -p KillMode=mixed --unit webcam $webcam $webcam_folder"; }
 
 # Its firmware hangs: it answers the host, but there are no frames, whatever stream is begun or opened.
 webcam_hangs() { on_guest 'pkill -STOP -P $(systemctl show webcam -p MainPID --value)' >&2; }

@@ -6,6 +6,7 @@
 //
 // The process answers the host's questions, its child sends the frames. A child that is stopped
 // (SIGSTOP) is a camera whose firmware hangs: nothing but a reset of its port gives it a new one.
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <chrono>

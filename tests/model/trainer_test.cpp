@@ -2,14 +2,11 @@
 #include "model/trainer.h"
 
 #include <filesystem>
-#include <fstream>
 #include <gtest/gtest.h>
 
 #include "model/checkpoint.h"
-#include "model/csv.h"
 #include "model/safetensors.h"
 #include "model/scene_pack.h"
-#include "model/training_log.h"
 
 namespace lcdm::model {
 namespace {
@@ -224,41 +221,6 @@ TEST(Trainer, TakesEveryLossOfThePaper) {
   EXPECT_NE(trainer->learned_focals()[0].fx, 1) << "the photometric loss moves the focal length";
 }
 
-TEST(Stages, AreReadAndRefused) {
-  const Result<Stage> stage = parse_stage("0.5:8:0.75");
-  ASSERT_TRUE(stage);
-  EXPECT_EQ(stage->share, 0.5);
-  EXPECT_EQ(stage->images, 8);
-  EXPECT_EQ(stage->until, 0.75);
-  EXPECT_EQ(parse_stage("1:4:1:4e-4")->learning_rate, 4e-4);
-  for (const char* text : {"", "0.5:8", "0.5:8:0.75:1", "0.5:8:0.75:", "0.5:8:0.75:1e-3:",
-                           "0.5:8:1:0", "0:8:1", "0.5:0:1", "0.5:8:2", "a:b:c"}) {
-    EXPECT_EQ(parse_stage(text).code(), StatusCode::kUsage) << text;
-  }
-}
-
-// 100 steps: a cosine to step 50, and a second one from half the rate; the head joins at 80.
-TEST(LearningRate, BeginsAgainWhereAStageNamesOne) {
-  Recipe recipe;
-  recipe.steps = 100;
-  recipe.warm_up = 10;
-  recipe.learning_rate = 1;
-  recipe.final_rate = 0;
-  recipe.head_from = 0.8;
-  recipe.stages = {{0.5, 8, 0.2}, {0.6, 8, 0.5}, {1, 4, 1, 0.5}};
-  EXPECT_DOUBLE_EQ(learning_rate_at(recipe, 0), 0.1);  // warm-up
-  EXPECT_DOUBLE_EQ(learning_rate_at(recipe, 10), 1);
-  EXPECT_NEAR(learning_rate_at(recipe, 30), 0.5, 1e-12);  // half-way from 10 to 50
-  EXPECT_LT(learning_rate_at(recipe, 49), 0.01);
-  EXPECT_DOUBLE_EQ(learning_rate_at(recipe, 50), 0.05);
-  EXPECT_DOUBLE_EQ(learning_rate_at(recipe, 60), 0.5);
-  EXPECT_NEAR(learning_rate_at(recipe, 80), 0.25, 1e-12);
-  EXPECT_DOUBLE_EQ(head_rate_at(recipe, 80), 0.05);
-  EXPECT_DOUBLE_EQ(head_rate_at(recipe, 90), 0.5);
-  recipe.head_from = 0;  // joined before: the same as the others
-  EXPECT_DOUBLE_EQ(head_rate_at(recipe, 70), learning_rate_at(recipe, 70));
-}
-
 // Two stages of two steps: pictures of each batch are counted, and the size follows.
 TEST(Trainer, GoesThroughItsStagesAndAccumulates) {
   Recipe recipe = small_recipe();
@@ -286,35 +248,6 @@ TEST(Trainer, TrainsInMixedPrecision) {
   EXPECT_NE((*losses)[Term::kDistillation], expected);
   EXPECT_NEAR((*losses)[Term::kDistillation], expected, 0.05 * expected);
   EXPECT_EQ(mixed->averaged()->direct->weight.scalar_type(), torch::kFloat32);
-}
-
-// A crash cut the last line and left rows that will be done again.
-TEST(TrainingLog, GoesOnFromTheStepOfTheCheckpoint) {
-  const fs::path folder = scratch("lcdm-log");
-  fs::create_directories(folder);
-  std::ofstream(folder / "curve.csv") << "step,a\n25,1\n50,2\n75,3\n10";
-  {
-    const TrainingLog log(folder, 50, 100);
-    EXPECT_EQ(read_csv((folder / "curve.csv").string())->rows.size(), 2U)
-        << "kept on the disk before anything is added";
-  }
-  const Result<CsvTable> curve = read_csv((folder / "curve.csv").string());
-  ASSERT_TRUE(curve) << curve.status().text();
-  EXPECT_EQ(*curve->numbers("step"), (std::vector<double>{25, 50}));
-  { const TrainingLog log(folder, 0, 100); }
-  EXPECT_TRUE(read_csv((folder / "curve.csv").string())->rows.empty());
-  fs::remove_all(folder);
-}
-
-TEST(TrainingLog, FullDiskLeavesTheCurve) {
-  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
-  const fs::path folder = scratch("lcdm-log-full-disk");
-  fs::create_directories(folder);
-  std::ofstream(folder / "curve.csv") << "step,a\n25,1\n50,2\n";
-  fs::create_symlink("/dev/full", folder / "curve.csv.partial");
-  { const TrainingLog log(folder, 25, 100); }
-  EXPECT_EQ(read_csv((folder / "curve.csv").string())->rows.size(), 2U);
-  fs::remove_all(folder);
 }
 
 TEST(Trainer, RefusesACheckpointOfAnotherNetwork) {
@@ -421,36 +354,6 @@ TEST(Trainer, SaysWhyItStopsWhereLossesStayFarAboveTheirBest) {
   const Result<Losses> losses = trainer->advance();
   ASSERT_EQ(losses.code(), StatusCode::kCorrupt);
   EXPECT_NE(std::string(losses.status().text()).find("diverges"), std::string::npos);
-  fs::remove(path);
-}
-
-TEST(Checkpoint, FullDiskLeavesTheOldOne) {
-  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
-  const std::string folder = scratch("lcdm-full-disk");
-  fs::create_directories(folder);
-  const std::string path = folder + "/checkpoint.safetensors";
-  std::ofstream(path) << "old";
-  fs::remove(path + ".partial");
-  fs::create_symlink("/dev/full", path + ".partial");
-  const Status status = write_tensors(path, {{{"a", torch::zeros({1000})}}, {}});
-  EXPECT_EQ(status.code(), StatusCode::kIoError);
-  std::string text;
-  std::ifstream(path) >> text;
-  EXPECT_EQ(text, "old");
-  fs::remove_all(folder);
-}
-
-TEST(Checkpoint, TruncatedFilesAreRefused) {
-  const std::string path = scratch("lcdm-truncated.safetensors");
-  ASSERT_TRUE(write_tensors(path, {{{"a", torch::zeros({1000})}}, {{"key", "a \"value\""}}}));
-  const Result<TensorFile> whole = read_tensors(path);
-  ASSERT_TRUE(whole);
-  EXPECT_EQ(whole->metadata.at("key"), "a \"value\"");
-  for (const std::uintmax_t size : {0U, 7U, 20U, 500U, 4000U}) {
-    fs::resize_file(path, size);
-    EXPECT_EQ(read_tensors(path).code(), StatusCode::kInvalidInput) << size;
-    ASSERT_TRUE(write_tensors(path, {{{"a", torch::zeros({1000})}}, {}}));
-  }
   fs::remove(path);
 }
 

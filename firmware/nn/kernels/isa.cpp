@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cstdlib>
 #include <string_view>
 
 // clang-format off
@@ -62,6 +63,11 @@ Status force_isa(const std::string& name) {
   return Status::error(StatusCode::kInvalidInput,
                        "LCDM_ISA=%.40s: no such instruction set here; there are %s", name.c_str(),
                        known.c_str());
+}
+
+Status force_isa_of_environment() {
+  const char* name = std::getenv("LCDM_ISA");  // NOLINT(concurrency-mt-unsafe): no threads yet
+  return name == nullptr ? Status::ok() : force_isa(name);
 }
 
 }  // namespace lcdm::kernels

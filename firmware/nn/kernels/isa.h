@@ -19,5 +19,8 @@ std::vector<std::string> isa_names();
 // kInvalidInput: this processor or this program has none of that name; the text says which there
 // are.
 Status force_isa(const std::string& name);
+// The same with what LCDM_ISA in the environment says, if it says anything. To be called while
+// there is one thread.
+Status force_isa_of_environment();
 
 }  // namespace lcdm::kernels

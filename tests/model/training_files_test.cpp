@@ -1,0 +1,71 @@
+// What a training leaves on the disk survives crashes, full disks and files that were cut.
+#include <filesystem>
+#include <fstream>
+#include <gtest/gtest.h>
+
+#include "model/csv.h"
+#include "model/safetensors.h"
+#include "model/training_log.h"
+#include "tests/drivers/temporary_folder.h"
+
+namespace lcdm::model {
+namespace {
+
+namespace fs = std::filesystem;
+
+// A crash cut the last line and left rows that will be done again.
+TEST(TrainingLog, GoesOnFromTheStepOfTheCheckpoint) {
+  const test::TemporaryFolder scratch;
+  const fs::path folder = scratch.path();
+  std::ofstream(folder / "curve.csv") << "step,a\n25,1\n50,2\n75,3\n10";
+  {
+    const TrainingLog log(folder, 50, 100);
+    EXPECT_EQ(read_csv((folder / "curve.csv").string())->rows.size(), 2U)
+        << "kept on the disk before anything is added";
+  }
+  const Result<CsvTable> curve = read_csv((folder / "curve.csv").string());
+  ASSERT_TRUE(curve) << curve.status().text();
+  EXPECT_EQ(*curve->numbers("step"), (std::vector<double>{25, 50}));
+  { const TrainingLog log(folder, 0, 100); }
+  EXPECT_TRUE(read_csv((folder / "curve.csv").string())->rows.empty());
+}
+
+TEST(TrainingLog, FullDiskLeavesTheCurve) {
+  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
+  const test::TemporaryFolder scratch;
+  const fs::path folder = scratch.path();
+  std::ofstream(folder / "curve.csv") << "step,a\n25,1\n50,2\n";
+  fs::create_symlink("/dev/full", folder / "curve.csv.partial");
+  { const TrainingLog log(folder, 25, 100); }
+  EXPECT_EQ(read_csv((folder / "curve.csv").string())->rows.size(), 2U);
+}
+
+TEST(Checkpoint, FullDiskLeavesTheOldOne) {
+  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
+  const test::TemporaryFolder scratch;
+  const std::string path = scratch.file("checkpoint.safetensors");
+  std::ofstream(path) << "old";
+  fs::create_symlink("/dev/full", path + ".partial");
+  const Status status = write_tensors(path, {{{"a", torch::zeros({1000})}}, {}});
+  EXPECT_EQ(status.code(), StatusCode::kIoError);
+  std::string text;
+  std::ifstream(path) >> text;
+  EXPECT_EQ(text, "old");
+}
+
+TEST(Checkpoint, TruncatedFilesAreRefused) {
+  const test::TemporaryFolder scratch;
+  const std::string path = scratch.file("truncated.safetensors");
+  ASSERT_TRUE(write_tensors(path, {{{"a", torch::zeros({1000})}}, {{"key", "a \"value\""}}}));
+  const Result<TensorFile> whole = read_tensors(path);
+  ASSERT_TRUE(whole);
+  EXPECT_EQ(whole->metadata.at("key"), "a \"value\"");
+  for (const std::uintmax_t size : {0U, 7U, 20U, 500U, 4000U}) {
+    fs::resize_file(path, size);
+    EXPECT_EQ(read_tensors(path).code(), StatusCode::kInvalidInput) << size;
+    ASSERT_TRUE(write_tensors(path, {{{"a", torch::zeros({1000})}}, {}}));
+  }
+}
+
+}  // namespace
+}  // namespace lcdm::model
