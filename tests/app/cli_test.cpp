@@ -2,7 +2,6 @@
 // the interfaces that scripts rely on.
 #include <algorithm>
 #include <filesystem>
-#include <fstream>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <iterator>
@@ -16,6 +15,7 @@
 #include "tests/app/program.h"
 #include "tests/app/raw_client.h"
 #include "tests/support/random_model.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {
@@ -34,27 +34,6 @@ struct Outcome {
 
 class Cli : public testing::Test {
  protected:
-  void SetUp() override {
-    folder_ = fs::path(testing::TempDir()) / "lcdm_cli" /
-              testing::UnitTest::GetInstance()->current_test_info()->name();
-    fs::remove_all(folder_);
-    fs::create_directories(folder_);
-    model_ = folder_ / "model.safetensors";
-    const auto config = test::make_config(EncoderKind::kXxs, PresetKind::kLcdm);
-    const auto image = test::make_random_model(config, 1);
-    write_bytes(model_, image);
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
-  static void write_bytes(const fs::path& path, const std::vector<std::byte>& bytes) {
-    std::ofstream(path, std::ios::binary)
-        .write(reinterpret_cast<const char*>(bytes.data()),
-               static_cast<std::streamsize>(bytes.size()));
-  }
-  static void write_text(const fs::path& path, const std::string& text) {
-    std::ofstream(path) << text;
-  }
-
   static Outcome lcdm(const std::vector<std::string>& arguments) {
     Program program(LCDM_PROGRAM, arguments);
     const int status = program.wait();
@@ -73,7 +52,7 @@ class Cli : public testing::Test {
 
   // A folder of two pictures of different sizes.
   fs::path make_images() const {
-    const fs::path images = folder_ / "images";
+    const fs::path images = folder_.file("images");
     fs::create_directories(images);
     cv::imwrite((images / "wide.png").string(), cv::Mat(60, 200, CV_8UC3, {40, 80, 120}));
     cv::imwrite((images / "tall.jpg").string(), cv::Mat(160, 90, CV_8UC3, {120, 80, 40}));
@@ -84,12 +63,14 @@ class Cli : public testing::Test {
     for (const char* each : {"--set", "model.width=96", "--set", "model.height=64", "--model"}) {
       arguments.emplace_back(each);
     }
-    arguments.push_back(model_.string());
+    arguments.push_back(model_);
     return arguments;
   }
 
-  fs::path folder_;
-  fs::path model_;
+  test::TemporaryFolder folder_;
+  const std::string model_ = folder_.write(
+      "model.safetensors",
+      test::make_random_model(test::make_config(EncoderKind::kXxs, PresetKind::kLcdm), 1));
 };
 
 TEST_F(Cli, SaysItsVersionAndHelps) {
@@ -117,7 +98,7 @@ TEST_F(Cli, RefusesACommandLineItDoesNotUnderstand) {
 }
 
 TEST_F(Cli, RefusesACommandLineThatAsksForWhatCannotBe) {
-  const std::string out = (folder_ / "out").string();
+  const std::string out = folder_.file("out");
   expect_refusal({"run", "--set", "http.port=x"}, 2, "--set http.port=x");
   expect_refusal({"run", "--listen", "example.org"}, 2, "numeric address");
   expect_refusal({"run", "--port", "web"}, 2, "--port web");
@@ -127,36 +108,34 @@ TEST_F(Cli, RefusesACommandLineThatAsksForWhatCannotBe) {
     expect_refusal({command, "--source", "webcam"}, 2, "--source webcam");
   }
   for (const char* source : {"webcam", "auto", "scene:x"}) {
-    expect_refusal({"infer", "--output", out, "--model", model_.string(), "--source", source}, 2,
+    expect_refusal({"infer", "--output", out, "--model", model_, "--source", source}, 2,
                    "no such source");
   }
 }
 
 TEST_F(Cli, OnlyCommandsThatUseAModelTakeOne) {
   for (const char* command : {"record", "calibrate", "check", "probe"}) {
-    expect_refusal({command, "--model", model_.string()}, 2, "--model");
+    expect_refusal({command, "--model", model_}, 2, "--model");
   }
 }
 
 TEST_F(Cli, CheckNamesTheLineThatIsWrong) {
-  const fs::path file = folder_ / "lcdm.toml";
-  write_text(file, "[camera]\nwidth = 640\n");
-  const Outcome valid = lcdm({"check", file.string()});
+  const std::string file = folder_.write("lcdm.toml", "[camera]\nwidth = 640\n");
+  const Outcome valid = lcdm({"check", file});
   EXPECT_EQ(valid.status, 0);
   EXPECT_THAT(valid.text, HasSubstr("valid"));
   EXPECT_EQ(lcdm({"check", "systemd/lcdm.toml"}).status, 0);
-  write_text(file, "[camera]\nwidht = 640\n");
-  expect_refusal({"check", file.string()}, 78, "lcdm.toml:2:9: no key camera.widht");
-  write_text(file, "[http]\nport = 123456\n");
-  expect_refusal({"check", file.string()}, 78, "lcdm.toml:2:8: http.port = 123456");
+  folder_.write("lcdm.toml", "[camera]\nwidht = 640\n");
+  expect_refusal({"check", file}, 78, "lcdm.toml:2:9: no key camera.widht");
+  folder_.write("lcdm.toml", "[http]\nport = 123456\n");
+  expect_refusal({"check", file}, 78, "lcdm.toml:2:8: http.port = 123456");
   expect_refusal({"check", "/nowhere/lcdm.toml"}, 78, "cannot read");
 }
 
 TEST_F(Cli, EveryCommandRefusesBadConfiguration) {
-  const fs::path file = folder_ / "lcdm.toml";
-  write_text(file, "[model]\nthreds = 1\n");
+  const std::string file = folder_.write("lcdm.toml", "[model]\nthreds = 1\n");
   const auto expect_both_refused = [&file](std::vector<std::string> command) {
-    command.insert(command.end(), {"--config", file.string()});
+    command.insert(command.end(), {"--config", file});
     expect_refusal(command, 78, "no key model.threds");
     command.back() = "/nowhere/lcdm.toml";
     expect_refusal(command, 78, "cannot read");
@@ -164,7 +143,7 @@ TEST_F(Cli, EveryCommandRefusesBadConfiguration) {
   for (const char* name : {"run", "record", "calibrate", "bench", "doctor"}) {
     expect_both_refused({name});
   }
-  expect_both_refused({"infer", "--source", "scene:", "--output", (folder_ / "out").string()});
+  expect_both_refused({"infer", "--source", "scene:", "--output", folder_.file("out")});
   Program program(LCDM_PROGRAM, {"run"}, {"LCDM_CAMERA_WIDTH=wide"});
   EXPECT_EQ(program.wait(), 78);
   EXPECT_THAT(program.text(), HasSubstr("LCDM_CAMERA_WIDTH"));
@@ -176,44 +155,39 @@ TEST_F(Cli, RefusesAModelThatIsMissingTruncatedOrHostile) {
   expect_refusal({"bench", "--model", "/"}, 78, "cannot read the model /");
   auto bytes = test::make_random_model(test::make_config(EncoderKind::kXxs, PresetKind::kLcdm), 1);
   bytes.resize(bytes.size() / 2);
-  const fs::path truncated = folder_ / "truncated.safetensors";
-  write_bytes(truncated, bytes);
-  expect_refusal({"run", "--source", "scene:", "--model", truncated.string()}, 78, "truncated");
-  const fs::path hostile = folder_ / "hostile.safetensors";
-  write_text(hostile, std::string(8, '\xff') + "{}");
-  expect_refusal({"bench", "--model", hostile.string()}, 78, "hostile.safetensors");
-  expect_refusal({"inspect", "model", hostile.string()}, 78, "hostile.safetensors");
-  expect_refusal({"infer", "--source", "scene:", "--output", (folder_ / "out").string(), "--model",
-                  hostile.string()},
-                 78, "hostile.safetensors");
-  EXPECT_FALSE(fs::exists(folder_ / "out")) << "nothing half-started";
+  const std::string truncated = folder_.write("truncated.safetensors", bytes);
+  expect_refusal({"run", "--source", "scene:", "--model", truncated}, 78, "truncated");
+  const std::string hostile = folder_.write("hostile.safetensors", std::string(8, '\xff') + "{}");
+  expect_refusal({"bench", "--model", hostile}, 78, "hostile.safetensors");
+  expect_refusal({"inspect", "model", hostile}, 78, "hostile.safetensors");
+  expect_refusal(
+      {"infer", "--source", "scene:", "--output", folder_.file("out"), "--model", hostile}, 78,
+      "hostile.safetensors");
+  EXPECT_FALSE(fs::exists(folder_.file("out"))) << "nothing half-started";
 }
 
 TEST_F(Cli, RefusesASourceThatIsMissingOrBroken) {
-  const std::string model = model_.string();
   const auto run = [&](const std::string& source, const std::string& wanted) {
-    expect_refusal({"run", "--port", "0", "--model", model, "--source", source}, 1, wanted);
+    expect_refusal({"run", "--port", "0", "--model", model_, "--source", source}, 1, wanted);
     expect_refusal(
-        {"infer", "--output", (folder_ / "out").string(), "--model", model, "--source", source}, 1,
+        {"infer", "--output", folder_.file("out"), "--model", model_, "--source", source}, 1,
         wanted);
-    EXPECT_FALSE(fs::exists(folder_ / "out")) << "nothing half-started";
+    EXPECT_FALSE(fs::exists(folder_.file("out"))) << "nothing half-started";
   };
   run("v4l2:/dev/null", "/dev/null");
   run("file:/nowhere.mp4", "/nowhere.mp4");
   run("mcap:/nowhere.mcap", "/nowhere.mcap");
-  write_text(folder_ / "video.mp4", "this is no video");
-  run("file:" + (folder_ / "video.mp4").string(), "video.mp4");
-  fs::create_directories(folder_ / "empty");
-  run("file:" + (folder_ / "empty").string(), "empty");
+  run("file:" + folder_.write("video.mp4", "this is no video"), "video.mp4");
+  fs::create_directories(folder_.file("empty"));
+  run("file:" + folder_.file("empty"), "empty");
 }
 
 TEST_F(Cli, ACameraThatIsNotPluggedInIsWaitedForByRunOnly) {
-  const std::string model = model_.string();
-  expect_refusal({"infer", "--output", (folder_ / "out").string(), "--model", model, "--source",
+  expect_refusal({"infer", "--output", folder_.file("out"), "--model", model_, "--source",
                   "v4l2:/dev/video99"},
                  1, "/dev/video99");
   Program program(LCDM_PROGRAM,
-                  {"run", "--port", "0", "--model", model, "--source", "v4l2:serial=NOBODY"});
+                  {"run", "--port", "0", "--model", model_, "--source", "v4l2:serial=NOBODY"});
   ASSERT_TRUE(program.wait_for("waiting for camera")) << program.text();
   EXPECT_THAT(program.text(), HasSubstr("v4l2:serial=NOBODY: no such camera"));
   kill(program.pid(), SIGTERM);
@@ -226,7 +200,7 @@ TEST_F(Cli, RunRefusesAPortInUse) {
   const auto other = HttpServer::start(options, {});
   ASSERT_TRUE(other);
   const std::string port = std::to_string((*other)->port());
-  expect_refusal({"run", "--source", "scene:", "--model", model_.string(), "--port", port}, 1,
+  expect_refusal({"run", "--source", "scene:", "--model", model_, "--port", port}, 1,
                  "127.0.0.1:" + port);
 }
 
@@ -291,9 +265,9 @@ TEST_F(Cli, DepthPngHasSixteenBitsAndSaysWhatItIs) {
 }
 
 TEST_F(Cli, InferWritesDepthForEveryImageAtItsOwnShape) {
-  const fs::path out = folder_ / "out";
+  const fs::path out = folder_.file("out");
   const Outcome outcome = lcdm({"infer", "--source", "file:" + make_images().string(), "--output",
-                                out.string(), "--model", model_.string(), "--float", "--colour"});
+                                out.string(), "--model", model_, "--float", "--colour"});
   ASSERT_EQ(outcome.status, 0) << outcome.text;
   for (const std::string name : {"tall", "wide"}) {
     const cv::Mat depth = cv::imread((out / (name + ".png")).string(), cv::IMREAD_UNCHANGED);
@@ -313,8 +287,8 @@ TEST_F(Cli, InferWritesDepthForEveryImageAtItsOwnShape) {
 
 TEST_F(Cli, InferNamesBrokenImagesAndGoesOn) {
   const fs::path images = make_images();
-  write_text(images / "middle.png", "this is no picture");
-  const fs::path out = folder_ / "out";
+  folder_.write("images/middle.png", "this is no picture");
+  const fs::path out = folder_.file("out");
   const Outcome outcome =
       lcdm(small({"infer", "--source", "file:" + images.string(), "--output", out.string()}));
   EXPECT_EQ(outcome.status, 1);
@@ -324,7 +298,7 @@ TEST_F(Cli, InferNamesBrokenImagesAndGoesOn) {
 }
 
 TEST_F(Cli, InferTakesAsManyFramesAsAskedForFromAnEndlessSource) {
-  const fs::path out = folder_ / "out";
+  const fs::path out = folder_.file("out");
   const Outcome outcome =
       lcdm(small({"infer", "--source", "scene:7", "--output", out.string(), "--frames", "3"}));
   EXPECT_EQ(outcome.status, 0) << outcome.text;
@@ -332,9 +306,9 @@ TEST_F(Cli, InferTakesAsManyFramesAsAskedForFromAnEndlessSource) {
 }
 
 TEST_F(Cli, InferRefusesAFolderItCannotWrite) {
-  expect_refusal(small({"infer", "--source", "scene:", "--frames", "1", "--output",
-                        (model_ / "below_a_file").string()}),
-                 1, "below_a_file");
+  expect_refusal(
+      small({"infer", "--source", "scene:", "--frames", "1", "--output", model_ + "/below_a_file"}),
+      1, "below_a_file");
 }
 
 TEST_F(Cli, InferRefusesToOverwriteItsOwnPictures) {
@@ -349,7 +323,7 @@ TEST_F(Cli, InferRefusesToOverwriteItsOwnPictures) {
 // Libraries have made threads before main: the signal must not end the program through them.
 TEST_F(Cli, RecordEndsWithAWholeFileWhenItIsToldTo) {
   for (const int signal : {SIGTERM, SIGINT}) {
-    const fs::path out = folder_ / std::to_string(signal);
+    const fs::path out = folder_.file(std::to_string(signal));
     Program program(LCDM_PROGRAM, {"record", "--source", "scene:", "--output", out.string()});
     ASSERT_TRUE(program.wait_for("file    ")) << program.text();
     std::this_thread::sleep_for(std::chrono::milliseconds(500));
@@ -361,15 +335,15 @@ TEST_F(Cli, RecordEndsWithAWholeFileWhenItIsToldTo) {
 
 // Only frames of the first one's size can be recorded; the others are lost, not waited for.
 TEST_F(Cli, RecordDropsPicturesOfAnotherSize) {
-  const Outcome outcome = lcdm({"record", "--source", "file:" + make_images().string(), "--output",
-                                (folder_ / "out").string()});
+  const Outcome outcome = lcdm(
+      {"record", "--source", "file:" + make_images().string(), "--output", folder_.file("out")});
   EXPECT_EQ(outcome.status, 0) << outcome.text;
   EXPECT_THAT(outcome.text, HasSubstr("1 frame,"));
   EXPECT_THAT(outcome.text, HasSubstr("1 dropped"));
 }
 
 TEST_F(Cli, StatusSurvivesAFileNameThatIsNoUtf8) {
-  const fs::path picture = folder_ / "caf\xe9.png";
+  const fs::path picture = folder_.file("caf\xe9.png");
   cv::imwrite(picture.string(), cv::Mat(60, 90, CV_8UC3, {40, 80, 120}));
   Program program(LCDM_PROGRAM,
                   small({"run", "--source", "file:" + picture.string(), "--port", "0"}));
@@ -382,7 +356,7 @@ TEST_F(Cli, StatusSurvivesAFileNameThatIsNoUtf8) {
 
 TEST_F(Cli, BenchPrintsTheKeysThatScriptsRead) {
   const Outcome outcome =
-      lcdm({"bench", "--json", "--size", "96x64", "--threads", "2", "--model", model_.string()});
+      lcdm({"bench", "--json", "--size", "96x64", "--threads", "2", "--model", model_});
   ASSERT_EQ(outcome.status, 0) << outcome.text;
   const auto json = nlohmann::json::parse(outcome.text);
   EXPECT_GT(json["latency_ms"]["p50"], 0);
@@ -401,7 +375,7 @@ TEST_F(Cli, BenchPrintsTheKeysThatScriptsRead) {
 TEST_F(Cli, BenchReadsFramesOfACamerasFormatAndFitsThreadsToTheMachine) {
   const Outcome outcome =
       lcdm({"bench", "--size", "64x64", "--source-format", "nv12:128x96", "--profile", "--set",
-            "model.precision=int8", "--threads", "64", "--model", model_.string()});
+            "model.precision=int8", "--threads", "64", "--model", model_});
   ASSERT_EQ(outcome.status, 0) << outcome.text;
   for (const char* wanted : {"prepared   in ", " ms\n", "preprocess", "\nlimit  "}) {
     EXPECT_THAT(outcome.text, HasSubstr(wanted));
@@ -429,7 +403,7 @@ TEST_F(Cli, AnUnknownInstructionSetIsRefusedWithThoseThereAre) {
 }
 
 TEST_F(Cli, InspectShowsTheModelLayerByLayer) {
-  const Outcome outcome = lcdm({"inspect", "model", model_.string()});
+  const Outcome outcome = lcdm({"inspect", "model", model_});
   EXPECT_EQ(outcome.status, 0);
   for (const char* wanted :
        {"licence", "encoder xxs", "encoder.stem", "decoder.condition", "640", "GMAC"}) {

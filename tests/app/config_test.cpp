@@ -2,7 +2,6 @@
 #include "app/config.h"
 
 #include <algorithm>
-#include <filesystem>
 #include <fstream>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -11,6 +10,7 @@
 #include <string>
 
 #include "firmware/health/supervisor.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {
@@ -22,30 +22,19 @@ constexpr const char* kShipped = "systemd/lcdm.toml";
 
 class ConfigFile : public testing::Test {
  protected:
-  void SetUp() override {
-    folder_ = testing::TempDir() + "lcdm_config_" +
-              testing::UnitTest::GetInstance()->current_test_info()->name();
-    std::filesystem::create_directories(folder_);
-  }
-  void TearDown() override { std::filesystem::remove_all(folder_); }
-
-  std::string write(const std::string& text) const {
-    const std::string path = folder_ + "/lcdm.toml";
-    std::ofstream(path) << text;
-    return path;
-  }
+  std::string write(const std::string& text) const { return folder_.write("lcdm.toml", text); }
 
   // The error that the text gives, without the folder; empty when it is valid.
   std::string error_of(const std::string& text) const {
     const auto config = load_config({write(text), {}, {}});
     if (config) return {};
     const std::string message = config.status().text();
-    EXPECT_THAT(message, StartsWith(folder_ + "/lcdm.toml"));
+    EXPECT_THAT(message, StartsWith(folder_.file("lcdm.toml")));
     EXPECT_EQ(message.find('\n'), std::string::npos) << "one line";
-    return message.substr(folder_.size() + 1);
+    return message.substr(folder_.path().size() + 1);
   }
 
-  std::string folder_;
+  test::TemporaryFolder folder_;
 };
 
 Status assign(const std::string& text) {

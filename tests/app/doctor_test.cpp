@@ -23,6 +23,7 @@
 #include "app/doctor_rate.h"
 #include "app/http_server.h"
 #include "tests/firmware_pipeline/fake_camera.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {
@@ -32,19 +33,16 @@ using testing::HasSubstr;
 
 class Doctor : public testing::Test {
  protected:
-  void SetUp() override {
-    root_ = testing::TempDir() + "lcdm_doctor_" +
-            testing::UnitTest::GetInstance()->current_test_info()->name();
-    fs::create_directories(root_);
-  }
-  void TearDown() override { fs::remove_all(root_); }
+  // As the root of a machine, others may look into it.
+  void SetUp() override { fs::permissions(root_, fs::perms(0755)); }
 
   void write(const std::string& path, const std::string& text) const {
     fs::create_directories(fs::path(root_ + path).parent_path());
     std::ofstream(root_ + path) << text;
   }
 
-  std::string root_;
+  test::TemporaryFolder folder_;
+  const std::string root_ = folder_.path();
 };
 
 void expect(const Finding& finding, Severity severity, const std::string& text) {

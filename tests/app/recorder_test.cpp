@@ -17,7 +17,7 @@
 #include <vector>
 
 #include "drivers/mcap_camera.h"
-#include "firmware/base/os.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {
@@ -33,12 +33,6 @@ constexpr std::int64_t kPeriod = 100'000'000;  // ten frames a second: a chunk h
 
 class RecorderTest : public ::testing::Test {
  protected:
-  void SetUp() override {
-    folder_ =
-        fs::temp_directory_path() / ("lcdm_recorder_test_" + std::to_string(os::monotonic_ns()));
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
   RecorderOptions options() const { return {folder_.string(), 64 << 20, 0}; }
 
   // Frame `number`: one grey level, so that what comes back can be told apart.
@@ -69,7 +63,8 @@ class RecorderTest : public ::testing::Test {
     return found;
   }
 
-  fs::path folder_;
+  test::TemporaryFolder scratch_;
+  const fs::path folder_ = scratch_.file("recordings");  // which the recorder makes
   std::vector<std::uint8_t> pixels_;
 };
 

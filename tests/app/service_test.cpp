@@ -14,9 +14,9 @@
 #include "firmware/health/indicator.h"
 #include "tests/app/program.h"
 #include "tests/app/raw_client.h"
-#include "tests/drivers/temporary_folder.h"
 #include "tests/support/notify_socket.h"
 #include "tests/support/random_model.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {
@@ -29,14 +29,6 @@ using testing::StartsWith;
 
 class ServiceTest : public testing::Test {
  protected:
-  void SetUp() override {
-    const auto image =
-        test::make_random_model(test::make_config(EncoderKind::kXxs, PresetKind::kLcdm), 1);
-    std::ofstream(model_, std::ios::binary)
-        .write(reinterpret_cast<const char*>(image.data()),
-               static_cast<std::streamsize>(image.size()));
-  }
-
   // `lcdm run` of a small network, with these arguments more.
   std::vector<std::string> arguments(const std::vector<std::string>& more) const {
     std::vector<std::string> all = {"run",
@@ -76,7 +68,9 @@ class ServiceTest : public testing::Test {
   }
 
   test::TemporaryFolder folder_;
-  const std::string model_ = folder_.file("model.safetensors");
+  const std::string model_ = folder_.write(
+      "model.safetensors",
+      test::make_random_model(test::make_config(EncoderKind::kXxs, PresetKind::kLcdm), 1));
   test::NotifySocket socket_{folder_.file("notify")};
 };
 

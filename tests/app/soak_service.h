@@ -19,9 +19,9 @@
 
 #include "tests/app/program.h"
 #include "tests/app/raw_client.h"
-#include "tests/drivers/temporary_folder.h"
 #include "tests/support/fake_v4l2.h"
 #include "tests/support/random_model.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::test {
 
@@ -111,10 +111,9 @@ class SoakService {
  private:
   std::vector<std::string> arguments() const {
     const auto image = make_random_model(make_config(EncoderKind::kXxs, PresetKind::kLcdm), 1);
-    const std::string_view bytes(reinterpret_cast<const char*>(image.data()), image.size());
     std::vector<std::string> all = {
         "run", "--source", std::string("v4l2:") + FakeV4l2::kPath,   "--port",
-        "0",   "--model",  folder_.write("model.safetensors", bytes)};
+        "0",   "--model",  folder_.write("model.safetensors", image)};
     for (const std::string& setting :
          {std::string("model.width=64"), std::string("model.height=64"),
           std::string("model.threads=1"), std::string("record.keep_free_megabytes=0"),

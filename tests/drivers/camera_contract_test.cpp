@@ -21,8 +21,8 @@
 #include "firmware/base/os.h"
 #include "firmware/wire/foxglove.h"
 #include "firmware/wire/mcap_writer.h"
-#include "tests/drivers/temporary_folder.h"
 #include "tests/support/fake_v4l2.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {

@@ -10,7 +10,7 @@
 #include <random>
 
 #include "firmware/base/alloc_watch.h"
-#include "tests/drivers/temporary_folder.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {

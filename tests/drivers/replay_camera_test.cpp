@@ -7,7 +7,7 @@
 
 #include "drivers/replay_files.h"
 #include "firmware/base/os.h"
-#include "tests/drivers/temporary_folder.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {

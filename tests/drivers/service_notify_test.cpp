@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include "tests/support/notify_socket.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {
@@ -18,7 +19,8 @@ class ServiceNotifyTest : public testing::Test {
     for (const char* name : {"NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"}) unsetenv(name);
   }
 
-  test::NotifySocket socket_{testing::TempDir() + "lcdm_notify_" + std::to_string(getpid())};
+  test::TemporaryFolder folder_;
+  test::NotifySocket socket_{folder_.file("notify")};
 };
 
 TEST_F(ServiceNotifyTest, SaysWhatSystemdReads) {

@@ -2,7 +2,6 @@
 #include "firmware/nn/model_file.h"
 
 #include <cmath>
-#include <cstdio>
 #include <cstring>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -11,6 +10,7 @@
 
 #include "firmware/nn/network.h"
 #include "tests/support/random_model.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {
@@ -181,17 +181,12 @@ TEST(ModelFile, MissingFileSaysWhichAndWhatToDo) {
 }
 
 TEST(ModelFile, LoadReadsWhatParseReads) {
-  const std::string path = testing::TempDir() + "/tiny.safetensors";
+  const test::TemporaryFolder folder;
   const auto bytes = tiny_model();
-  std::FILE* file = std::fopen(path.c_str(), "wb");
-  ASSERT_NE(file, nullptr);
-  ASSERT_EQ(std::fwrite(bytes.data(), 1, bytes.size(), file), bytes.size());
-  std::fclose(file);
-  const auto model = ModelFile::load(path);
+  const auto model = ModelFile::load(folder.write("tiny.safetensors", bytes));
   ASSERT_TRUE(model) << model.status().text();
   EXPECT_EQ(model->hash(), ModelFile::parse(bytes)->hash());
   EXPECT_EQ(model->file_bytes(), bytes.size());
-  std::remove(path.c_str());
 }
 
 // One random change: a flipped byte, a digit, a cut, a doubled or a removed piece.

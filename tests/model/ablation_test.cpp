@@ -8,6 +8,7 @@
 #include "model/csv.h"
 #include "model/safetensors.h"
 #include "model/scene_pack.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {
@@ -39,7 +40,6 @@ class Ablation : public testing::Test {
  protected:
   void SetUp() override {
     at::set_num_threads(1);
-    fs::remove_all(folder_);
     ScenePackOptions scene;
     scene.train_frames = 4;
     scene.validation_frames = 2;
@@ -53,15 +53,15 @@ class Ablation : public testing::Test {
     options_.tables = {"steps"};
     options_.seeds = 2;
   }
-  void TearDown() override { fs::remove_all(folder_); }
 
   Status run() { return ablate(recipe_, data_, one_cpu(), options_); }
   std::map<std::string, torch::Tensor> weights() {
     return read_tensors(checkpoint_.string())->tensors;
   }
 
-  fs::path folder_ = fs::path(testing::TempDir()) / "lcdm-ablation";
-  fs::path checkpoint_ = folder_ / "ID5-all-seed1" / "checkpoint.safetensors";
+  test::TemporaryFolder scratch_;
+  const fs::path folder_ = scratch_.file("tables");
+  const fs::path checkpoint_ = folder_ / "ID5-all-seed1" / "checkpoint.safetensors";
   Data data_;
   Recipe recipe_;
   AblationOptions options_;

@@ -1,30 +1,27 @@
 // Catalogues of data: what they say, and how they say what is wrong with them.
 #include "model/catalogue.h"
 
-#include <filesystem>
-#include <fstream>
 #include <gtest/gtest.h>
 
 #include "tests/model/data_set_fixture.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {
 
 class CatalogueTest : public testing::Test {
  protected:
-  void TearDown() override { fs::remove(path_); }
-  Result<Catalogue> read(const std::string& text) {
-    std::ofstream(path_) << text;
-    return read_catalogue(path_);
+  Result<Catalogue> read(const std::string& text) const {
+    return read_catalogue(folder_.write("catalogue.toml", text));
   }
-  void expect_fault(const std::string& text, const std::string& part) {
+  void expect_fault(const std::string& text, const std::string& part) const {
     const Result<Catalogue> catalogue = read(text);
     ASSERT_FALSE(catalogue);
     EXPECT_NE(std::string(catalogue.status().text()).find(part), std::string::npos)
         << catalogue.status().text();
   }
 
-  std::string path_ = (fs::path(testing::TempDir()) / "lcdm-catalogue.toml").string();
+  test::TemporaryFolder folder_;
 };
 
 TEST_F(CatalogueTest, SaysWhatEachSetIsFor) {
@@ -75,7 +72,7 @@ TEST_F(CatalogueTest, FaultsNameLineAndCure) {
   expect_fault("[medley]\nframes = -1", "frames must be a number, 0 or more");
   expect_fault("[medley]\nframes = 1e8", "more would show the worlds that validate");
   expect_fault("[train]\npath = \"a\"", "write [[train]]");
-  expect_fault("[[train]\n", "lcdm-catalogue.toml");
+  expect_fault("[[train]\n", "catalogue.toml");
   EXPECT_EQ(read_catalogue("no/such.toml").code(), StatusCode::kInvalidInput);
 }
 
@@ -96,10 +93,10 @@ TEST(Catalogues, OfTheProjectAreWellFormed) {
 
 // Without depth nothing would be learnt, and nobody told.
 TEST_F(CatalogueTest, KittiNeedsASourceOfDepth) {
-  std::ofstream(path_) << "[[train]]\nform = \"kitti-raw\"\npath = \"kitti\"\nlist = \"a.txt\"\n"
-                          "wide-share = 1\n";
   DataOptions options;
-  options.catalogue = path_;
+  options.catalogue = folder_.write(
+      "catalogue.toml",
+      "[[train]]\nform = \"kitti-raw\"\npath = \"kitti\"\nlist = \"a.txt\"\nwide-share = 1\n");
   const Result<Data> data = load_training_data(options);
   ASSERT_EQ(data.code(), StatusCode::kInvalidInput);
   EXPECT_NE(std::string(data.status().text()).find("ground-truth"), std::string::npos);
@@ -107,7 +104,7 @@ TEST_F(CatalogueTest, KittiNeedsASourceOfDepth) {
 
 TEST(Catalogues, OwnPacksHaveNoTestPart) {
   DataOptions options;
-  options.packs = {testing::TempDir()};
+  options.packs = {"pack"};
   EXPECT_EQ(load_test_data(options).code(), StatusCode::kUsage);
 }
 
@@ -115,7 +112,6 @@ TEST(Catalogues, OwnPacksHaveNoTestPart) {
 class OwnPack : public DataSet {
  protected:
   void SetUp() override {
-    DataSet::SetUp();
     write_picture(root_ / "rgb" / "000000.png", {64, 48}, {10, 100, 200});
     write(root_ / "intrinsics.json", R"({"fx": 100, "fy": 100, "cx": 32, "cy": 24})");
   }
@@ -182,13 +178,10 @@ TEST_F(OwnPack, IsMeasuredAsRgbdRecordingsAre) {
   EXPECT_FLOAT_EQ(data->protocols[0].farthest, 10);
 }
 
-TEST(Catalogues, LoadTheSceneAlone) {
-  const std::string path = (fs::path(testing::TempDir()) / "lcdm-scene.toml").string();
-  std::ofstream(path) << "[scene]\nframes = 4\n";
+TEST_F(CatalogueTest, LoadsTheSceneAlone) {
   DataOptions options;
-  options.catalogue = path;
+  options.catalogue = folder_.write("catalogue.toml", "[scene]\nframes = 4\n");
   const Result<Data> data = load_training_data(options);
-  fs::remove(path);
   ASSERT_TRUE(data) << data.status().text();
   ASSERT_EQ(data->packs.size(), 1U);
   EXPECT_EQ(data->packs[0].train.size(), 4U);

@@ -5,7 +5,7 @@
 #include <gtest/gtest.h>
 #include <string>
 
-#include "tests/drivers/temporary_folder.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {

@@ -13,6 +13,7 @@
 #include <string>
 
 #include "model/frames.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 
@@ -28,15 +29,6 @@ inline cv::Mat_<std::uint16_t> no_depth(int rows, int columns) {
 // An empty folder of the test's own, removed behind it.
 class DataSet : public testing::Test {
  protected:
-  void SetUp() override {
-    const auto* test = testing::UnitTest::GetInstance()->current_test_info();
-    root_ = fs::path(testing::TempDir()) /
-            (std::string("lcdm-") + test->test_suite_name() + "-" + test->name());
-    fs::remove_all(root_);
-    fs::create_directories(root_);
-  }
-  void TearDown() override { fs::remove_all(root_); }
-
   static void write(const fs::path& file, const std::string& bytes) {
     fs::create_directories(file.parent_path());
     std::ofstream(file, std::ios::binary) << bytes;
@@ -56,7 +48,8 @@ class DataSet : public testing::Test {
     cv::imwrite(file.string(), depth);
   }
 
-  fs::path root_;
+  test::TemporaryFolder scratch_;
+  const fs::path root_ = scratch_.path();
 };
 
 // Every pixel but these is 0.

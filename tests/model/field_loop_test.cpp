@@ -1,15 +1,14 @@
 // The field loop as its user walks it, with the real programs: record a drive, play it back as
 // teacher depth, make a pack of it, train a few steps, export, and load what came out.
 #include <filesystem>
-#include <fstream>
 #include <gtest/gtest.h>
 #include <string>
 #include <vector>
 
-#include "firmware/base/os.h"
 #include "firmware/nn/model_file.h"
 #include "tests/app/program.h"
 #include "tests/support/random_model.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {
@@ -19,17 +18,11 @@ namespace fs = std::filesystem;
 class FieldLoopTest : public ::testing::Test {
  protected:
   void SetUp() override {
-    folder_ = fs::temp_directory_path() / ("lcdm_field_loop_" + std::to_string(os::monotonic_ns()));
-    fs::create_directories(folder_);
-    const auto image = test::make_random_model(
-        test::make_config(EncoderKind::kXxs, PresetKind::kLcdm), test::kGoldenSeed);
-    std::ofstream(path("model.safetensors"), std::ios::binary)
-        .write(reinterpret_cast<const char*>(image.data()),
-               static_cast<std::streamsize>(image.size()));
+    const auto config = test::make_config(EncoderKind::kXxs, PresetKind::kLcdm);
+    folder_.write("model.safetensors", test::make_random_model(config, test::kGoldenSeed));
   }
-  void TearDown() override { fs::remove_all(folder_); }
 
-  std::string path(const std::string& name) const { return (folder_ / name).string(); }
+  std::string path(const std::string& name) const { return folder_.file(name); }
 
   // Runs a program to its end; the test stops with what it printed when it fails.
   static void run(const char* program, const std::vector<std::string>& arguments) {
@@ -42,21 +35,21 @@ class FieldLoopTest : public ::testing::Test {
         std::distance(fs::directory_iterator(folder), fs::directory_iterator()));
   }
 
-  fs::path folder_;
+  test::TemporaryFolder folder_;
 };
 
 TEST_F(FieldLoopTest, ADriveIsRecordedReplayedTrainedOnAndExported) {
   run(LCDM_PROGRAM, {"record", "--source", "scene:3", "--output", path("drive"), "--seconds", "2",
                      "--set", "camera.width=320", "--set", "camera.height=240"});
-  ASSERT_EQ(files_in(folder_ / "drive"), 1U);
+  ASSERT_EQ(files_in(path("drive")), 1U);
 
   run(LCDM_TRAIN_PROGRAM, {"pack", "--recording", path("drive"), "--output", path("pack")});
   run(LCDM_PROGRAM,
       {"infer", "--source", "mcap:" + path("drive"), "--output", path("pack/depth"), "--model",
        path("model.safetensors"), "--set", "model.width=128", "--set", "model.height=96"});
-  const std::size_t pictures = files_in(folder_ / "pack" / "rgb");
+  const std::size_t pictures = files_in(path("pack/rgb"));
   EXPECT_GE(pictures, 10U);
-  EXPECT_EQ(files_in(folder_ / "pack" / "depth"), pictures);  // one depth for every picture
+  EXPECT_EQ(files_in(path("pack/depth")), pictures);  // one depth for every picture
 
   run(LCDM_TRAIN_PROGRAM,
       {"train", "--pack", path("pack"), "--scene-frames", "0", "--encoder", "xxs", "--steps", "3",
@@ -74,7 +67,7 @@ TEST_F(FieldLoopTest, ADriveIsRecordedReplayedTrainedOnAndExported) {
 
   // It teaches in turn, and is compared on a page.
   run(LCDM_TRAIN_PROGRAM, {"teach", "--pack", path("pack"), "--model", path("tuned.safetensors")});
-  EXPECT_EQ(files_in(folder_ / "pack" / "teacher"), pictures + 1);  // and teacher.json
+  EXPECT_EQ(files_in(path("pack/teacher")), pictures + 1);  // and teacher.json
   run(LCDM_TRAIN_PROGRAM, {"report", "--pack", path("pack"), "--model", path("tuned.safetensors"),
                            "--curve", path("training/curve.csv"), "--output", path("page.html")});
   EXPECT_GT(fs::file_size(path("page.html")), 5000U);

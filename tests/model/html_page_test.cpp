@@ -13,8 +13,8 @@
 #include <utility>
 #include <vector>
 
-#include "tests/drivers/temporary_folder.h"
 #include "tests/model/page_text.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {

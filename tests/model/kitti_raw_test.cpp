@@ -25,7 +25,6 @@ constexpr const char* kDrive = "2011_09_26_drive_0002_sync";
 class KittiRaw : public DataSet {
  protected:
   void SetUp() override {
-    DataSet::SetUp();
     options_.root = (root_ / "raw").string();
     options_.list = (root_ / "list.txt").string();
     date_ = root_ / "raw" / kDate;

@@ -15,7 +15,6 @@ namespace {
 class Make3d : public DataSet {
  protected:
   void SetUp() override {
-    DataSet::SetUp();
     for (const char* name : {"op1-p-015t000", "op2-p-200t000"}) {
       write_picture(root_ / "Test134" / ("img-" + std::string(name) + ".jpg"), {24, 32},
                     {10, 100, 200});

@@ -2,13 +2,13 @@
 #include "model/network.h"
 
 #include <cmath>
-#include <filesystem>
 #include <gtest/gtest.h>
 
 #include "model/depth_code.h"
 #include "model/exporter.h"
 #include "model/folded_net.h"
 #include "model/unfolder.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {
@@ -122,8 +122,8 @@ TEST_P(Export, ComputesTheSameDepth) {
   network->config.card = "one paragraph";
   shake_norms(network);
   network->eval();
-  const std::string path =
-      (std::filesystem::path(testing::TempDir()) / "lcdm-export-test.safetensors").string();
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("model.safetensors");
   ASSERT_TRUE(export_network(network, path));
   const Result<ModelFile> file = ModelFile::load(path);
   ASSERT_TRUE(file) << file.status().text();
@@ -137,7 +137,6 @@ TEST_P(Export, ComputesTheSameDepth) {
   const torch::Tensor theirs = FoldedNet(*file).forward(rgb);
   EXPECT_LT(((mine - theirs) / mine).abs().max().item<float>(), 0.02);  // half precision
   EXPECT_LT(((mine - theirs) / mine).abs().mean().item<float>(), 0.004);
-  std::filesystem::remove(path);
 }
 
 TEST(ExportedTexts, ThatTheDeviceWouldRefuseAreRefusedAndTheOldFileStays) {
@@ -145,15 +144,14 @@ TEST(ExportedTexts, ThatTheDeviceWouldRefuseAreRefusedAndTheOldFileStays) {
   network->config.name = "tiny";
   network->config.licence = "none";
   network->eval();
-  const std::string path =
-      (std::filesystem::path(testing::TempDir()) / "lcdm-export-text.safetensors").string();
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("model.safetensors");
   ASSERT_TRUE(export_network(network, path));
   network->config.card = "two\nlines";
   const Status refused = export_network(network, path);
   EXPECT_FALSE(refused);
   EXPECT_NE(std::string(refused.text()).find("`card`"), std::string::npos) << refused.text();
   EXPECT_TRUE(ModelFile::load(path));
-  std::filesystem::remove(path);
 }
 
 // A model file that was unfolded and folded again is the same file, to rounding.
@@ -164,8 +162,8 @@ TEST_P(Export, IsUndoneForFineTuning) {
   network->config.licence = "none";
   shake_norms(network);
   network->eval();
-  const std::string path =
-      (std::filesystem::path(testing::TempDir()) / "lcdm-unfold-test.safetensors").string();
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("model.safetensors");
   ASSERT_TRUE(export_network(network, path));
   Result<DepthNetwork> again = unfold_model(path);
   ASSERT_TRUE(again) << again.status().text();
@@ -181,7 +179,6 @@ TEST_P(Export, IsUndoneForFineTuning) {
   const torch::Tensor before = network->sample(network->condition_of(rgb), 2);
   const torch::Tensor after = (*again)->sample((*again)->condition_of(rgb), 2);
   EXPECT_LT((before - after).abs().mean().item<float>(), 0.01);
-  std::filesystem::remove(path);
 }
 
 INSTANTIATE_TEST_SUITE_P(Presets, Export, testing::Values(PresetKind::kLcdm, PresetKind::kPaper));

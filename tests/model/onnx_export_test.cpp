@@ -11,6 +11,7 @@
 #include "firmware/nn/engine.h"
 #include "firmware/nn/noise.h"
 #include "tests/support/random_model.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {
@@ -42,9 +43,8 @@ TEST_P(OnnxExport, GivesTheEnginesDepthInOnnxRuntime) {
   if (!fs::exists("model/peers/node_modules/onnxruntime-node")) {
     GTEST_SKIP() << "no ONNX Runtime: npm --prefix model/peers install --ignore-scripts";
   }
-  const fs::path folder =
-      fs::path(testing::TempDir()) / (std::string("lcdm_onnx_") + to_string(GetParam()));
-  fs::create_directories(folder);
+  const test::TemporaryFolder scratch;
+  const fs::path folder = scratch.path();
   ModelConfig config = test::make_config(EncoderKind::kXxs, GetParam());
   const auto file = ModelFile::parse(test::make_random_model(config, 7));
   ASSERT_TRUE(file) << file.status().text();

@@ -12,6 +12,7 @@
 
 #include "model/batch.h"
 #include "model/scene_pack.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {
@@ -58,7 +59,6 @@ PackFrame frame_of(const Pack& pack, std::size_t index = 0) { return *pack.frame
 class SmallPack : public testing::Test {
  protected:
   void SetUp() override {
-    root_ = fs::path(testing::TempDir()) / "lcdm-small-pack";
     fs::create_directories(root_ / "pack" / "rgb");
     fs::create_directories(root_ / "pack" / "depth");
     cv::imwrite((root_ / "pack" / "rgb" / "000000.jpg").string(),
@@ -68,12 +68,12 @@ class SmallPack : public testing::Test {
     cv::imwrite((root_ / "pack" / "depth" / "000000.png").string(), depth);
     write_intrinsics(R"({"fx": 100, "fy": 100, "cx": 32, "cy": 24, "depth_unit_m": 0.001})");
   }
-  void TearDown() override { fs::remove_all(root_); }
   void write_intrinsics(const std::string& text) {
     std::ofstream(root_ / "pack" / "intrinsics.json") << text;
   }
 
-  fs::path root_;
+  test::TemporaryFolder scratch_;
+  const fs::path root_ = scratch_.path();
   PackUse use_{.name = "pack", .wide_share = 1, .tall_share = 1, .maps = "maps"};
 };
 

@@ -3,8 +3,6 @@
 
 #include <cmath>
 #include <cstdlib>
-#include <filesystem>
-#include <fstream>
 #include <gtest/gtest.h>
 #include <torch/csrc/distributed/c10d/TCPStore.hpp>
 
@@ -12,32 +10,22 @@
 #include "model/csv.h"
 #include "model/safetensors.h"
 #include "tests/app/program.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {
 
-namespace fs = std::filesystem;
-
 class ProcessesTest : public testing::Test {
  protected:
-  void SetUp() override {
-    folder_ = fs::temp_directory_path() / ("lcdm_processes_" + std::to_string(os::monotonic_ns()));
-    fs::create_directories(folder_);
-    std::ofstream(catalogue()) << "[scene]\nframes = 8\n";
-  }
-  void TearDown() override {
-    unsetenv("WORLD_SIZE");
-    fs::remove_all(folder_);
-  }
+  void TearDown() override { unsetenv("WORLD_SIZE"); }
 
-  std::string catalogue() const { return (folder_ / "scene.toml").string(); }
   std::vector<std::string> arguments(const std::string& output, const char* workers,
                                      const char* stage,
                                      const std::vector<std::string>& more) const {
     std::vector<std::string> all = {
-        "train",  "--data",      catalogue(), "--encoder", "xxs",
-        "--seed", "4",           "--stage",   stage,       "--workers",
-        workers,  "--head-from", "0",         "--output",  (folder_ / output).string()};
+        "train",  "--data",      catalogue_, "--encoder", "xxs",
+        "--seed", "4",           "--stage",  stage,       "--workers",
+        workers,  "--head-from", "0",        "--output",  folder_.file(output)};
     all.insert(all.end(), more.begin(), more.end());
     return all;
   }
@@ -61,16 +49,17 @@ class ProcessesTest : public testing::Test {
     ASSERT_EQ(second.wait(300), 0) << second.text();
   }
   Result<TensorFile> weights_of(const std::string& output) const {
-    return read_tensors((folder_ / output / "checkpoint.safetensors").string());
+    return read_tensors(folder_.file(output + "/checkpoint.safetensors"));
   }
   // Mean distillation loss of all steps.
   double loss_of(const std::string& output) const {
-    const auto curve = read_csv((folder_ / output / "curve.csv").string());
+    const auto curve = read_csv(folder_.file(output + "/curve.csv"));
     EXPECT_TRUE(curve) << curve.status().text();
     return curve->numbers("distillation")->back();
   }
 
-  fs::path folder_;
+  test::TemporaryFolder folder_;
+  const std::string catalogue_ = folder_.write("scene.toml", "[scene]\nframes = 8\n");
 };
 
 // Two processes with a worker and 2 pictures each are one with two workers and 4 pictures.
@@ -109,7 +98,7 @@ TEST_F(ProcessesTest, TwoDoNotAblate) {
   std::vector<std::vector<std::string>> each = {both, both};
   each[0].emplace_back("RANK=0");
   each[1].emplace_back("RANK=1");
-  const std::vector<std::string> ablate = {"ablate", "--output", (folder_ / "tables").string()};
+  const std::vector<std::string> ablate = {"ablate", "--output", folder_.file("tables")};
   test::Program first(LCDM_TRAIN_PROGRAM, ablate, each[0]);
   test::Program second(LCDM_TRAIN_PROGRAM, ablate, each[1]);
   EXPECT_EQ(first.wait(60), 2) << first.text();

@@ -6,6 +6,7 @@
 #include <torch/script.h>
 
 #include "tests/app/program.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {
@@ -15,8 +16,6 @@ using Gives = TorchscriptOptions::Gives;
 
 class TorchscriptTeacher : public testing::Test {
  protected:
-  void TearDown() override { fs::remove(path_); }
-
   // A module with this forward().
   Result<Estimator> load(const std::string& forward, Gives gives) {
     torch::jit::Module module("Teacher");
@@ -37,7 +36,8 @@ class TorchscriptTeacher : public testing::Test {
     return frame;
   }
 
-  std::string path_ = (fs::path(testing::TempDir()) / "lcdm-teacher.pt").string();
+  test::TemporaryFolder folder_;
+  const std::string path_ = folder_.file("teacher.pt");
 };
 
 TEST_F(TorchscriptTeacher, GivesItsDepthInMetres) {
@@ -99,14 +99,13 @@ TEST(MonoVit, CheckpointBecomesATeacher) {
   if (test::Program(python, {"-c", "import torch"}).wait(60) != 0) {
     GTEST_SKIP() << "python3-torch is not installed";
   }
-  const fs::path folder = fs::path(testing::TempDir()) / "lcdm-monovit";
-  fs::create_directories(folder);
-  test::Program weights(python, {"tests/fixtures/monovit/write_weights.py", folder.string()});
+  const test::TemporaryFolder folder;
+  test::Program weights(python, {"tests/fixtures/monovit/write_weights.py", folder.path()});
   ASSERT_EQ(weights.wait(60), 0) << weights.text();
-  const std::string module = (folder / "teacher.pt").string();
+  const std::string module = folder.file("teacher.pt");
   test::Program convert(
       python, {"model/teachers/monovit_to_torchscript.py", "--repository", "tests/fixtures/monovit",
-               "--weights", folder.string(), "--output", module});
+               "--weights", folder.path(), "--output", module});
   ASSERT_EQ(convert.wait(60), 0) << convert.text();
 
   TorchscriptOptions options;
@@ -120,7 +119,6 @@ TEST(MonoVit, CheckpointBecomesATeacher) {
   frame.rgb = cv::Mat(32, 64, CV_8UC3, cv::Scalar(102, 0, 0));  // red 0.4
   const double inverse = 0.01 + 9.99 * (0.5 * 0.4 + 0.25);
   EXPECT_NEAR((*teacher)(frame).at<float>(16, 30), 1 / inverse, 1e-5);
-  fs::remove_all(folder);
 }
 
 }  // namespace

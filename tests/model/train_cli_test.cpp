@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include "firmware/base/os.h"
 #include "tests/app/program.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {
@@ -20,18 +20,6 @@ using testing::StartsWith;
 
 class TrainCli : public testing::Test {
  protected:
-  void SetUp() override {
-    folder_ = fs::temp_directory_path() / ("lcdm_train_cli_" + std::to_string(os::monotonic_ns()));
-    fs::create_directories(folder_);
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
-  std::string write(const std::string& name, const std::string& text) const {
-    const fs::path path = folder_ / name;
-    std::ofstream(path) << text;
-    return path.string();
-  }
-
   // Expects one line that says `wanted` and the status.
   static void expect_refusal(const std::vector<std::string>& arguments, int status,
                              const std::string& wanted) {
@@ -42,7 +30,7 @@ class TrainCli : public testing::Test {
     EXPECT_EQ(std::count(program.text().begin(), program.text().end(), '\n'), 1) << program.text();
   }
 
-  fs::path folder_;
+  test::TemporaryFolder folder_;
 };
 
 TEST_F(TrainCli, HelpIsNoFault) {
@@ -56,10 +44,11 @@ TEST_F(TrainCli, RefusesACommandLineItDoesNotUnderstand) {
   expect_refusal({"evaluate", "--fast"}, 2, "--fast");
   expect_refusal({"export", "--checkpoint", "/nowhere"}, 2, "/nowhere");
   expect_refusal({"--recipe", "/nowhere.toml", "train"}, 2, "/nowhere.toml");
-  expect_refusal({"--recipe", write("recipe.toml", "[train]\nsteps = \"many\"\n"), "train"}, 2,
-                 "many");
-  expect_refusal({"--recipe", write("typo.toml", "[train]\nsteeps = 5\n"), "train"}, 2, "steeps");
-  expect_refusal({"--recipe", write("other.toml", "[train]\nsteps = 5\n"), "ablate"}, 2,
+  expect_refusal({"--recipe", folder_.write("recipe.toml", "[train]\nsteps = \"many\"\n"), "train"},
+                 2, "many");
+  expect_refusal({"--recipe", folder_.write("typo.toml", "[train]\nsteeps = 5\n"), "train"}, 2,
+                 "steeps");
+  expect_refusal({"--recipe", folder_.write("other.toml", "[train]\nsteps = 5\n"), "ablate"}, 2,
                  "[ablate]");
 }
 
@@ -71,41 +60,41 @@ TEST_F(TrainCli, RefusesACommandLineThatAsksForWhatCannotBe) {
 
 // A new training would destroy it.
 TEST_F(TrainCli, RefusesAFolderThatHoldsATraining) {
-  write("checkpoint.safetensors", "hours of work");
-  expect_refusal({"train", "--output", folder_.string()}, 2, "holds a training: give --resume");
+  folder_.write("checkpoint.safetensors", "hours of work");
+  expect_refusal({"train", "--output", folder_.path()}, 2, "holds a training: give --resume");
   std::string kept;
-  std::getline(std::ifstream(folder_ / "checkpoint.safetensors"), kept);
+  std::getline(std::ifstream(folder_.file("checkpoint.safetensors")), kept);
   EXPECT_EQ(kept, "hours of work");
 }
 
 // As packs of fewer than 34 pictures have no validation part.
 TEST_F(TrainCli, RefusesToMeasureOnNothing) {
-  const std::string catalogue = write("data.toml", "");
-  const std::string estimates = folder_.string();
+  const std::string catalogue = folder_.write("data.toml", "");
+  const std::string estimates = folder_.path();
   expect_refusal({"evaluate", "--data", catalogue, "--estimates", estimates}, 2,
                  "nothing to evaluate on");
-  expect_refusal({"train", "--data", catalogue, "--validate-every", "5", "--output",
-                  (folder_ / "training").string()},
-                 2, "nothing to validate on");
+  expect_refusal(
+      {"train", "--data", catalogue, "--validate-every", "5", "--output", folder_.file("training")},
+      2, "nothing to validate on");
 }
 
 TEST_F(TrainCli, RefusesEstimatesOfOtherPicturesThanBlurredOnes) {
-  expect_refusal({"evaluate", "--estimates", folder_.string(), "--blur", "20"}, 2, "--blur");
+  expect_refusal({"evaluate", "--estimates", folder_.path(), "--blur", "20"}, 2, "--blur");
 }
 
 TEST_F(TrainCli, SaysThatTheFiguresOfFramesCouldNotBeKept) {
   if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full here";
   test::Program program(LCDM_TRAIN_PROGRAM,
-                        {"evaluate", "--data", write("data.toml", "[scene]\nframes = 1\n"),
-                         "--estimates", folder_.string(), "--frames", "/dev/full"});
+                        {"evaluate", "--data", folder_.write("data.toml", "[scene]\nframes = 1\n"),
+                         "--estimates", folder_.path(), "--frames", "/dev/full"});
   EXPECT_EQ(program.wait(60), 1) << program.text();
   EXPECT_THAT(program.text(), HasSubstr("--frames /dev/full: cannot write"));
 }
 
 TEST_F(TrainCli, RefusesDataAndWeightsThatNoRetryCures) {
   expect_refusal({"train", "--data", "/nowhere.toml"}, 78, "/nowhere.toml");
-  expect_refusal({"train", "--data", write("data.toml", "[[train]\n")}, 78, "data.toml");
-  const std::string junk = write("junk.safetensors", "this is no model");
+  expect_refusal({"train", "--data", folder_.write("data.toml", "[[train]\n")}, 78, "data.toml");
+  const std::string junk = folder_.write("junk.safetensors", "this is no model");
   expect_refusal({"evaluate", "--model", junk}, 78, "junk.safetensors");
   expect_refusal({"evaluate", "--checkpoint", junk}, 78, "junk.safetensors");
 }

@@ -1,17 +1,15 @@
 // The training loop: it learns, stops and goes on, and never loses a checkpoint.
 #include "model/trainer.h"
 
-#include <filesystem>
 #include <gtest/gtest.h>
 
 #include "model/checkpoint.h"
 #include "model/safetensors.h"
 #include "model/scene_pack.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {
-
-namespace fs = std::filesystem;
 
 const std::vector<Pack>& scene_packs() {
   static const std::vector<Pack> packs = [] {
@@ -33,10 +31,6 @@ Recipe small_recipe() {
   return recipe;
 }
 
-std::string scratch(const std::string& name) {
-  return (fs::path(testing::TempDir()) / name).string();
-}
-
 bool same_weights(Trainer& a, Trainer& b) {
   std::map<std::string, torch::Tensor> left;
   std::map<std::string, torch::Tensor> right;
@@ -50,11 +44,11 @@ bool same_weights(Trainer& a, Trainer& b) {
 
 // All that a training is made of: weights, optimiser, counters.
 std::map<std::string, torch::Tensor> state_of(const Trainer& trainer) {
-  const std::string path = scratch("lcdm-state.safetensors");
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("checkpoint.safetensors");
   EXPECT_TRUE(trainer.save(path));
   const Result<TensorFile> file = read_tensors(path);
   EXPECT_TRUE(file) << file.status().text();
-  fs::remove(path);
   return file->tensors;
 }
 
@@ -94,7 +88,8 @@ TEST(Trainer, RefusesALicenceThatNoCheckpointCouldHold) {
 // A run stopped after three of six steps, over the step where the head joins.
 void expect_exact_resume(double freeze_from) {
   at::set_num_threads(1);
-  const std::string path = scratch("lcdm-resume.safetensors");
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("checkpoint.safetensors");
   Recipe recipe = small_recipe();
   recipe.head_from = 0.6;
   recipe.freeze_from = freeze_from;
@@ -115,7 +110,6 @@ void expect_exact_resume(double freeze_from) {
   const auto got = state_of(*resumed);
   ASSERT_EQ(got.size(), wanted.size());
   for (const auto& [name, tensor] : wanted) EXPECT_TRUE(torch::equal(tensor, got.at(name))) << name;
-  fs::remove(path);
 }
 
 TEST(Trainer, ResumesBitExactlyWhileStatisticsMove) { expect_exact_resume(1); }
@@ -157,7 +151,8 @@ TEST(Trainer, MeasuresAHeadThatJoinsShortlyBeforeStatisticsAreFrozen) {
 
 // The stage in which the head joins is the first of one recipe and the second of the other.
 TEST(Trainer, MeasuresANewHeadAtThePresentSize) {
-  const std::string path = scratch("lcdm-present-size.safetensors");
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("checkpoint.safetensors");
   at::set_num_threads(1);
   Recipe recipe = small_recipe();
   recipe.steps = 2;
@@ -173,7 +168,6 @@ TEST(Trainer, MeasuresANewHeadAtThePresentSize) {
   ASSERT_TRUE(first->advance());
   ASSERT_TRUE(second->advance());
   EXPECT_TRUE(same_weights(*first, *second));
-  fs::remove(path);
 }
 
 // However long the rest has been trained, the first average of the head is mostly the head.
@@ -251,12 +245,12 @@ TEST(Trainer, TrainsInMixedPrecision) {
 }
 
 TEST(Trainer, RefusesACheckpointOfAnotherNetwork) {
-  const std::string path = scratch("lcdm-other.safetensors");
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("checkpoint.safetensors");
   Recipe recipe = small_recipe();
   ASSERT_TRUE(trainer_of(recipe)->save(path));
   recipe.encoder = EncoderKind::kXs;
   EXPECT_EQ(trainer_of(recipe)->resume(path).code(), StatusCode::kInvalidInput);
-  fs::remove(path);
 }
 
 // Fine-tuning: the weights are the given ones, the steps are counted anew.
@@ -342,7 +336,8 @@ TEST(Divergence, IsAMeanFarAboveItsBest) {
 
 // A checkpoint that holds a training about to diverge stops where the unbroken one would.
 TEST(Trainer, SaysWhyItStopsWhereLossesStayFarAboveTheirBest) {
-  const std::string path = scratch("lcdm-diverging.safetensors");
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("checkpoint.safetensors");
   ASSERT_TRUE(trainer_of(small_recipe())->save(path));
   TensorFile file = *read_tensors(path);
   Divergence past;
@@ -354,7 +349,6 @@ TEST(Trainer, SaysWhyItStopsWhereLossesStayFarAboveTheirBest) {
   const Result<Losses> losses = trainer->advance();
   ASSERT_EQ(losses.code(), StatusCode::kCorrupt);
   EXPECT_NE(std::string(losses.status().text()).find("diverges"), std::string::npos);
-  fs::remove(path);
 }
 
 // Half a minute of training on a few rendered frames halves the loss, and what is kept shows it.

@@ -6,7 +6,7 @@
 #include "model/csv.h"
 #include "model/safetensors.h"
 #include "model/training_log.h"
-#include "tests/drivers/temporary_folder.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
 namespace {

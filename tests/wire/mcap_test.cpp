@@ -2,7 +2,6 @@
 // @mcap/core, with protobufjs for the messages), and by our own reader under damage.
 #include <cstdio>
 #include <filesystem>
-#include <fstream>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 #include <random>
@@ -14,6 +13,7 @@
 #include "firmware/wire/foxglove.h"
 #include "firmware/wire/mcap_reader.h"
 #include "firmware/wire/mcap_writer.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::wire {
 namespace {
@@ -115,18 +115,15 @@ Reading read_all(std::span<const std::byte> data) {
 // Runs the reference reader over `data`; empty when Node.js or its packages are not installed.
 nlohmann::json read_with_peer(std::span<const std::byte> data, const std::string& mode) {
   if (!std::filesystem::exists("tests/peers/node_modules/@mcap/core")) return {};
-  const auto file = std::filesystem::temp_directory_path() /
-                    ("lcdm_mcap_test_" + std::to_string(std::random_device{}()) + ".mcap");
-  std::ofstream(file, std::ios::binary)
-      .write(reinterpret_cast<const char*>(data.data()), static_cast<std::streamsize>(data.size()));
-  const std::string command = "node tests/peers/read_mcap.mjs " + file.string() + " " + mode;
+  const test::TemporaryFolder folder;
+  const std::string command =
+      "node tests/peers/read_mcap.mjs " + folder.write("test.mcap", data) + " " + mode;
   std::string output;
   FILE* pipe = popen(command.c_str(), "r");
   for (char block[4096]; const std::size_t n = std::fread(block, 1, sizeof(block), pipe);) {
     output.append(block, n);
   }
   const int status = pclose(pipe);
-  std::filesystem::remove(file);
   EXPECT_EQ(WEXITSTATUS(status), 0) << "the reference reader refused the file";
   return nlohmann::json::parse(output, nullptr, false);
 }

@@ -1,9 +1,11 @@
 // A folder that lives as long as its test.
 #pragma once
 
+#include <cstddef>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <span>
 #include <string>
 #include <string_view>
 
@@ -31,6 +33,9 @@ class TemporaryFolder {
   std::string write(const std::string& name, std::string_view text) const {
     std::ofstream(file(name), std::ios::binary) << text;
     return file(name);
+  }
+  std::string write(const std::string& name, std::span<const std::byte> bytes) const {
+    return write(name, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
   }
 
  private:
