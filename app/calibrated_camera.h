@@ -14,12 +14,12 @@ namespace lcdm {
 // size. A camera that knows its own intrinsics keeps them.
 class CalibratedCamera final : public Camera {
  public:
-  // `searched`: it is whichever camera is there.
-  CalibratedCamera(std::unique_ptr<Camera> camera, Calibration calibration, bool searched)
-      : camera_(std::move(camera)), calibration_(std::move(calibration)), searched_(searched) {}
+  // `pluggable`: another camera may take its place, or it may come back with other sizes.
+  CalibratedCamera(std::unique_ptr<Camera> camera, Calibration calibration, bool pluggable)
+      : camera_(std::move(camera)), calibration_(std::move(calibration)), pluggable_(pluggable) {}
 
-  // kInvalidInput also: the calibration is of another shape than the camera's pictures. Of one that
-  // was searched kNotFound: the camera that it is of is not there.
+  // kInvalidInput also: the calibration is of another shape than the camera's pictures. Where it is
+  // pluggable kNotFound: the camera that the calibration is of is not there, or not as it was.
   Status configure(const CaptureRequest& request) override {
     LCDM_RETURN_IF_ERROR(camera_->configure(request));
     const CameraModel own = camera_->model();
@@ -27,7 +27,7 @@ class CalibratedCamera final : public Camera {
     const Status fits = model_for(calibration_, own.width, own.height).status();
     if (fits) return fits;
     camera_->stop();
-    return searched_ ? Status::error(StatusCode::kNotFound, "%s", fits.text()) : fits;
+    return pluggable_ ? Status::error(StatusCode::kNotFound, "%s", fits.text()) : fits;
   }
   CameraModel model() const override {
     const CameraModel own = camera_->model();
@@ -54,7 +54,7 @@ class CalibratedCamera final : public Camera {
  private:
   const std::unique_ptr<Camera> camera_;
   const Calibration calibration_;
-  const bool searched_;
+  const bool pluggable_;
 };
 
 }  // namespace lcdm

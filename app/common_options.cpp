@@ -130,8 +130,8 @@ Result<OpenedSource> open_source(const Config& config, const std::string& uri, P
   if (!source || config.camera.calibration.empty()) return source;
   Result<Calibration> calibration = read_calibration(config.camera.calibration);
   if (!calibration) return calibration.status();
-  source->camera = std::make_unique<CalibratedCamera>(std::move(source->camera),
-                                                      std::move(*calibration), uri == "v4l2:any");
+  source->camera = std::make_unique<CalibratedCamera>(
+      std::move(source->camera), std::move(*calibration), source->port != nullptr);
   return source;
 }
 

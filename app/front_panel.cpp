@@ -41,6 +41,12 @@ Press FrontPanel::look(DeviceState state, bool alive, std::int64_t now_ns) {
   return Press::kNone;
 }
 
+void FrontPanel::release() {
+  light_.reset();
+  button_line_.reset();
+  heartbeat_.reset();
+}
+
 void FrontPanel::drive(LinePtr& line, bool active) {
   if (!line) return;
   const Status status = line->set(active);

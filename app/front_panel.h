@@ -12,7 +12,7 @@
 
 namespace lcdm {
 
-// Belongs to main. Dropped, the outputs are at their safe level.
+// Belongs to main. Released or dropped, the outputs are at their safe level.
 class FrontPanel {
  public:
   // Requests the lines that are named. One that cannot be had is a warning: the device does
@@ -21,6 +21,9 @@ class FrontPanel {
 
   // Shows the state, beats while the device is alive, and tells what was pressed.
   Press look(DeviceState state, bool alive, std::int64_t now_ns);
+
+  // For good, before an end that may take long.
+  void release();
 
   // Why lines are missing, one line for a person each.
   const std::vector<std::string>& warnings() const { return warnings_; }

@@ -32,6 +32,14 @@ std::string status_line(const Judgement& now, double rate) {
   return line + figures;
 }
 
+// In a driver's hands nothing but the end of the process ends it.
+template <typename T>
+void end_with(const std::future<T>& work, int exit_code) {
+  if (work.wait_for(kLongestEnd) == std::future_status::ready) return;
+  std::fflush(stdout);
+  std::_Exit(exit_code);
+}
+
 }  // namespace
 
 bool gives_depth(DeviceState state) {
@@ -62,11 +70,16 @@ Status Service::start(const StopSignals& signals) {
     show(booting, now_ns);
     if (!signals.wait_for(kLookPeriod)) continue;
     stopped_ = true;
+    panel_.release();
     notify_.stopping("stopping");
-    // In a driver's hands nothing but the end of the process ends it; nothing is recorded yet.
-    if (started.wait_for(kLongestEnd) != std::future_status::ready) std::_Exit(kExitOk);
+    end_with(started, kExitOk);  // nothing is recorded yet
   }
   return started.get();
+}
+
+void Service::end(int exit_code) {
+  const std::future<void> ended = std::async(std::launch::async, [this] { pipeline_.stop(); });
+  end_with(ended, exit_code);
 }
 
 Status Service::run(const StopSignals& signals) {
@@ -81,6 +94,7 @@ Status Service::run(const StopSignals& signals) {
       status = Status::error(StatusCode::kIoError, "nothing brings the camera back; start again");
     }
   }
+  panel_.release();
   notify_.stopping(status ? "stopping" : "restart: nothing brings the camera back");
   return status;
 }
@@ -178,17 +192,18 @@ void Service::say(const Judgement& now) {
   std::fflush(stdout);
 }
 
-// Every rung of the recovery ladder as it is taken. A wait for the device that goes on, a step a
-// second, is one.
+// Every rung of the recovery ladder as it is taken. A step that is repeated for the same reason, as
+// once a second while the device is away, is one.
 void Service::say_recovery(const HealthSnapshot& pipeline, const std::string& fault) {
-  if (pipeline.state == PipelineState::kStreaming) said_rung_.reset();
+  if (pipeline.state == PipelineState::kStreaming) said_rung_.clear();
   for (std::size_t i = 0; i < kRecoveryRungs; ++i) {
     if (pipeline.recovery[i] == said_steps_[i]) continue;
     said_steps_[i] = pipeline.recovery[i];
     const auto rung = static_cast<RecoveryRung>(i);
-    const bool goes_on = rung == RecoveryRung::kWaitForDevice && said_rung_ == rung;
-    said_rung_ = rung;
-    if (!goes_on) std::printf("recovery: %s: %s\n", to_string(rung), fault.c_str());
+    std::string line = std::string(to_string(rung)) + ": " + fault;
+    if (line == said_rung_) continue;
+    std::printf("recovery: %s\n", line.c_str());
+    said_rung_ = std::move(line);
   }
   std::fflush(stdout);
 }

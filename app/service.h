@@ -5,7 +5,6 @@
 #include <array>
 #include <cstdint>
 #include <mutex>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -57,6 +56,9 @@ class Service {
   // Until a signal comes, the source ends or its recovery does; the pipeline runs meanwhile.
   // kIoError: only a new process may bring the camera back.
   Status run(const StopSignals& signals);
+  // Ends the pipeline. A driver that holds it for longer than a second ends the process with
+  // `exit_code`: whoever calls has nothing else to lose.
+  void end(int exit_code);
 
   ServiceStatus status() const;
 
@@ -85,8 +87,8 @@ class Service {
   Effort effort_ = Effort::kFull;
   std::int64_t heat_read_ns_ = 0;
   std::array<std::uint64_t, kRecoveryRungs> said_steps_{};
-  std::optional<RecoveryRung> said_rung_;  // the newest, since depth last came
-  bool stopped_ = false;                   // by a signal during the start
+  std::string said_rung_;  // the newest and why, since depth last came
+  bool stopped_ = false;   // by a signal during the start
   bool announced_ = false;
   bool ready_said_ = false;
   std::int64_t last_ping_ns_ = 0;

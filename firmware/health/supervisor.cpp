@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstdarg>
 #include <cstdio>
+#include <cstring>
 
 namespace lcdm {
 namespace {
@@ -11,6 +12,10 @@ namespace {
 constexpr std::int64_t kFramesComeNs = 1'500'000'000;
 // The pipeline's threads live in this order, after main.
 constexpr std::array<const char*, 3> kVitalThreads = {"main", "capture", "infer"};
+
+// Bits of Finding::losses, after those of the outputs.
+constexpr std::size_t kOutputEnded = Supervisor::kMaxOutputs;
+constexpr std::size_t kEffortLowered = kOutputEnded + 1;  // and how far: one for each effort
 
 // Whether the pipeline says that the camera gives nothing.
 bool gives_nothing(PipelineState state) {
@@ -47,6 +52,18 @@ Supervisor::Finding::Finding(DeviceState found, const char* format, ...) : state
   va_end(arguments);
 }
 
+void Supervisor::Finding::lose(std::size_t bit, const char* format, ...) {
+  char text[Status::kMaxText];
+  va_list arguments;
+  va_start(arguments, format);
+  std::vsnprintf(text, sizeof(text), format, arguments);
+  va_end(arguments);
+  const std::size_t used = std::strlen(reason);
+  std::snprintf(reason + used, sizeof(reason) - used, "%s%s", used == 0 ? "" : "; ", text);
+  state = DeviceState::kDegraded;
+  losses |= 1U << bit;
+}
+
 const Judgement& Supervisor::judge(const Observation& seen) {
   follow_progress(seen);
   count_missed(seen);
@@ -56,11 +73,11 @@ const Judgement& Supervisor::judge(const Observation& seen) {
   judgement_.ready = judgement_.ready || waiting_ || seen.pipeline.inferred > 0;
   const Finding now = find(seen);
   const bool other_state = !begun_ || now.state != judgement_.state;
-  judgement_.changed = other_state || seen.effort != effort_;
+  judgement_.changed = other_state || now.losses != losses_;
   judgement_.changes += begun_ && other_state ? 1 : 0;
   judgement_.state = now.state;
   std::copy(std::begin(now.reason), std::end(now.reason), std::begin(judgement_.reason));
-  effort_ = seen.effort;
+  losses_ = now.losses;
   begun_ = true;
   return judgement_;
 }
@@ -121,13 +138,6 @@ const char* Supervisor::late_vital() const {
   return nullptr;
 }
 
-const char* Supervisor::late_output(const Observation& seen) const {
-  for (std::size_t i = 0; i < seen.outputs.size(); ++i) {
-    if (output_late_[i]) return seen.outputs[i].thread;
-  }
-  return nullptr;
-}
-
 Supervisor::Finding Supervisor::find(const Observation& seen) const {
   if (!judgement_.alive) return find_fault(seen);
   switch (seen.pipeline.state) {
@@ -156,17 +166,20 @@ Supervisor::Finding Supervisor::find_fault(const Observation& seen) const {
 
 // While depth comes: what else is lost.
 Supervisor::Finding Supervisor::find_loss(const Observation& seen) const {
-  if (const char* thread = late_output(seen)) {
-    return {DeviceState::kDegraded, "thread %s gives no sign of life: its output is lost", thread};
+  Finding found(seen.recording ? DeviceState::kRecording : DeviceState::kStreaming, "%s", "");
+  for (std::size_t i = 0; i < seen.outputs.size(); ++i) {
+    if (!output_late_[i]) continue;
+    found.lose(i, "thread %s gives no sign of life: its output is lost", seen.outputs[i].thread);
   }
   if (output_fault_since_ns_ >= 0 &&
       seen.now_ns - output_fault_since_ns_ < options_.output_fault_ns) {
-    return {DeviceState::kDegraded, "%s", seen.output_fault};
+    found.lose(kOutputEnded, "%s", seen.output_fault);
   }
   if (seen.effort != Effort::kFull) {
-    return {DeviceState::kDegraded, "%s: %s", to_string(seen.effort), seen.effort_reason};
+    found.lose(kEffortLowered + static_cast<std::size_t>(seen.effort), "%s: %s",
+               to_string(seen.effort), seen.effort_reason);
   }
-  return {seen.recording ? DeviceState::kRecording : DeviceState::kStreaming, "%s", ""};
+  return found;
 }
 
 }  // namespace lcdm

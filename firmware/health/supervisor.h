@@ -60,7 +60,7 @@ struct SupervisorOptions {
 struct Judgement {
   DeviceState state = DeviceState::kBooting;
   char reason[Status::kMaxText] = {};  // why; empty when all is well
-  bool changed = false;                // state or effort differ from the last judgement's
+  bool changed = false;                // state, or what is lost, differs from the last judgement's
   bool ready = false;                  // depth has come, or a wait for the camera was declared
   bool alive = true;                   // the watchdog may be told so
   std::uint64_t changes = 0;           // of the state so far
@@ -80,18 +80,19 @@ class Supervisor {
   const Judgement& judge(const Observation& seen);
 
  private:
-  // A state, and why.
+  // A state, and why. Of what is lost while depth comes, everything.
   struct Finding {
     DeviceState state;
     char reason[Status::kMaxText] = {};
+    std::uint32_t losses = 0;  // a bit each, so that another loss of the same state is a change
     __attribute__((format(printf, 3, 4))) Finding(DeviceState found, const char* format, ...);
+    __attribute__((format(printf, 3, 4))) void lose(std::size_t bit, const char* format, ...);
   };
 
   void follow_progress(const Observation& seen);
   void count_missed(const Observation& seen);
   void follow_output_fault(const Observation& seen);
   const char* late_vital() const;
-  const char* late_output(const Observation& seen) const;
   Finding find(const Observation& seen) const;
   Finding find_fault(const Observation& seen) const;
   Finding find_loss(const Observation& seen) const;
@@ -99,7 +100,7 @@ class Supervisor {
   const SupervisorOptions options_;
   Judgement judgement_;
   bool begun_ = false;
-  Effort effort_ = Effort::kFull;
+  std::uint32_t losses_ = 0;
   std::int64_t last_call_ns_ = 0;
   std::int64_t main_gap_ns_ = 0;  // between the last two calls
   std::uint64_t captured_ = 0;

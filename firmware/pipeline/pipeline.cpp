@@ -34,16 +34,15 @@ milliseconds three_periods(float frames_per_second) {
   return milliseconds(static_cast<int>(std::clamp(3000 / frames_per_second, 30.0F, 6'000.0F)));
 }
 
-// Whether time or the recovery ladder may cure a camera that cannot be opened or started. Missing
-// permission and wrong configuration only a person can.
+// Whether time, the recovery ladder or somebody at the machine may cure a camera that cannot be
+// opened or started while the program waits. Wrong configuration needs another start.
 bool may_recover(const Status& fault) {
   switch (fault.code()) {
     case StatusCode::kNotFound:
     case StatusCode::kDeviceGone:
     case StatusCode::kUnavailable:
-      return true;
     case StatusCode::kIoError:
-      return fault.sys_errno() != EACCES && fault.sys_errno() != EPERM;
+      return true;
     default:
       return false;
   }
@@ -112,7 +111,10 @@ void Pipeline::capture_loop(const Status& opened) {
   bool more = opened || recover(opened);
   while (more && !stopping_) {
     health_.beat_capture(os::monotonic_ns());
-    give_back_returned();
+    if (const Status given = give_back_returned(); !given) {
+      more = survive(given);
+      continue;
+    }
     const auto captured = camera_.dequeue(std::min(three_periods_, kLongestDequeue));
     if (captured) {
       forward(*captured);
@@ -140,11 +142,12 @@ void Pipeline::note_stamp(StampSource stamp) {
   source_.info.stamp = stamp_ = stamp;
 }
 
-void Pipeline::give_back_returned() {
+// A buffer that the camera refuses is lost until the stream starts anew.
+Status Pipeline::give_back_returned() {
   while (const std::optional<int> index = pool_->take_returned()) {
-    // A camera that refuses its own buffer is failing: the next dequeue says how.
-    [[maybe_unused]] const Status status = camera_.requeue(*index);
+    LCDM_RETURN_IF_ERROR(camera_.requeue(*index));
   }
+  return Status::ok();
 }
 
 void Pipeline::close_camera() {
@@ -267,6 +270,7 @@ Status Pipeline::infer(const FrameView& captured) {
   if (!engine_) return engine_status_;
   const bool small = takes_small_network(effort_) && small_engine_;
   Engine& engine = small ? *small_engine_ : *engine_;
+  const std::int64_t begin_ns = os::monotonic_ns();
   FrameView pixels = captured;
   if (captured.format.pixel == PixelFormat::kMjpeg) {
     const Result<FrameView> decoded = decoder_->decode(captured);
@@ -280,7 +284,6 @@ Status Pipeline::infer(const FrameView& captured) {
   frame.millimetres = millimetres_.data();
   frame.colour = captured;
   frame.pixels = pixels;
-  const std::int64_t begin_ns = os::monotonic_ns();
   LCDM_RETURN_IF_ERROR(
       engine.run(pixels, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
   frame.done_ns = os::monotonic_ns();

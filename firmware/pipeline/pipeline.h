@@ -85,8 +85,8 @@ class Pipeline {
   // only a person can cure is an error: missing permission, a format that nobody knows, an engine
   // that cannot be made. On error nothing runs. Once only.
   Status start();
-  // Ends and joins both threads: after the frame in work, and within one dequeue time-out. Again
-  // is harmless.
+  // Ends and joins both threads: after the frame in work, within one dequeue time-out, and when the
+  // driver that recovery waits for gives the camera back. Again is harmless.
   void stop();
 
   // How much work goes into depth, from the next frame on. Any thread.
@@ -112,7 +112,7 @@ class Pipeline {
   void capture_loop(const Status& opened);
   void forward(const CapturedFrame& captured);
   void note_stamp(StampSource stamp);
-  void give_back_returned();
+  Status give_back_returned();
   void close_camera();
   void wait_until_nothing_is_lent();
   Status configure_camera();

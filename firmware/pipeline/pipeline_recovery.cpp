@@ -25,9 +25,11 @@ bool is_absence(StatusCode code) {
   return code == StatusCode::kNotFound || code == StatusCode::kDeviceGone;
 }
 
-// For the ladder. A camera that another program holds is not broken.
+// For the ladder. A camera that another program holds, or that may not be opened, is not broken.
 StatusCode kind_of(const Status& fault) {
-  return fault.sys_errno() == EBUSY ? StatusCode::kUnavailable : fault.code();
+  const int error = fault.sys_errno();
+  const bool denied = error == EBUSY || error == EACCES || error == EPERM;
+  return denied ? StatusCode::kUnavailable : fault.code();
 }
 
 }  // namespace
@@ -135,7 +137,10 @@ Status Pipeline::climb(RecoveryRung rung) {
   }
   LCDM_RETURN_IF_ERROR(configure_camera());
   LCDM_RETURN_IF_ERROR(camera_.start());
-  if (health_.state() == PipelineState::kNoCamera) health_.set_state(PipelineState::kStarting);
+  if (health_.state() == PipelineState::kNoCamera) {
+    set_fault("");
+    health_.set_state(PipelineState::kStarting);
+  }
   health_.note_reopened();
   return Status::ok();
 }

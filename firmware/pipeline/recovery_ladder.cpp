@@ -26,14 +26,18 @@ RecoveryStep RecoveryLadder::next(StatusCode fault, std::int64_t now_ns) {
     note_nothing_open();
     return {RecoveryRung::kWaitForDevice, backoff()};
   }
+  // A source that changed its format, that another program holds or that may not be opened: what is
+  // mapped is of no use, and neither a reset of its port nor a new process would cure it.
+  if (fault == StatusCode::kUnavailable) {
+    last_depth_ns_ = now_ns;
+    ++steps_;
+    return {RecoveryRung::kReopen, backoff()};
+  }
   if (nanoseconds(now_ns - last_depth_ns_) >= options_.give_up_after) {
     return {RecoveryRung::kRestartProcess, milliseconds(0)};
   }
   const milliseconds wait = backoff();
   const int step = steps_++;
-  // A source that changed its format, or that another program holds: what is mapped is of no use,
-  // and its port is well.
-  if (fault == StatusCode::kUnavailable) return {RecoveryRung::kReopen, wait};
   if (step == 0) return {RecoveryRung::kRestartStream, wait};
   const bool reset = step % (options_.reopenings + 1) == 0;
   return {reset ? RecoveryRung::kResetPort : RecoveryRung::kReopen, wait};

@@ -31,7 +31,8 @@ struct RecoveryStep {
 
 // A device that is there but fails: its stream is restarted once, then it is reopened, then its
 // port is reset and it is reopened, over and over until `give_up_after`. A device that is not there
-// is waited for, for ever. Times are CLOCK_MONOTONIC. Used from one thread.
+// is waited for, for ever; one that is kept from us (kUnavailable) is reopened, for ever. Times are
+// CLOCK_MONOTONIC. Used from one thread.
 class RecoveryLadder {
  public:
   RecoveryLadder(const RecoveryOptions& options, std::int64_t now_ns)

@@ -29,7 +29,7 @@ struct DepthFrame {
   const std::uint16_t* millimetres = nullptr;  // camera.width * camera.height, packed
   FrameView colour;                            // the camera frame, in the camera's own format
   FrameView pixels;                            // the same as pixels: decoded where it is MJPEG
-  std::int64_t inference_ns = 0;               // time the engine took
+  std::int64_t inference_ns = 0;               // time that decoding and the engine took
   std::int64_t done_ns = 0;                    // CLOCK_MONOTONIC when the depth was ready
 };
 

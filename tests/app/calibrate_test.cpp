@@ -16,6 +16,7 @@
 #include "tests/app/program.h"
 #include "tests/app/rendered_board.h"
 #include "tests/firmware_pipeline/fake_camera.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm {
 namespace {
@@ -153,15 +154,6 @@ TEST(BoardCalibrator, RefusesViewsThatNoOneCameraCouldSee) {
 
 class CalibrationFile : public testing::Test {
  protected:
-  void SetUp() override {
-    folder_ = fs::path(testing::TempDir()) / "lcdm_calibration" /
-              testing::UnitTest::GetInstance()->current_test_info()->name();
-    fs::remove_all(folder_);
-    fs::create_directories(folder_);
-    file_ = (folder_ / "calibration.toml").string();
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
   static Calibration make_calibration() {
     Calibration calibration;
     calibration.camera = "v4l2:/dev/v4l/by-id/a \"quoted\" \\ name";
@@ -182,12 +174,11 @@ class CalibrationFile : public testing::Test {
     text.replace(text.find(from), from.size(), to);
     std::ofstream(file_) << text;
     const auto read = read_calibration(file_);
-    return read ? "accepted"
-                : std::string(read.status().text()).substr(folder_.string().size() + 1);
+    return read ? "accepted" : std::string(read.status().text()).substr(folder_.path().size() + 1);
   }
 
-  fs::path folder_;
-  std::string file_;
+  test::TemporaryFolder folder_;
+  const std::string file_ = folder_.file("calibration.toml");
 };
 
 TEST_F(CalibrationFile, ComesBackAsItWasWritten) {
@@ -201,12 +192,11 @@ TEST_F(CalibrationFile, ComesBackAsItWasWritten) {
   EXPECT_EQ(read->views, written.views);
   EXPECT_EQ(read->rms_error, written.rms_error);
   EXPECT_EQ(read->model, written.model);
-  EXPECT_FALSE(write_calibration((folder_ / "nowhere" / "c.toml").string(), written));
+  EXPECT_FALSE(write_calibration(folder_.file("nowhere/c.toml"), written));
 }
 
 TEST_F(CalibrationFile, FollowsNoLinkThatWasPlantedAtItsUnfinishedName) {
-  const std::string target = (folder_ / "precious").string();
-  std::ofstream(target) << "keep";
+  const std::string target = folder_.write("precious", "keep");
   fs::create_symlink(target, file_ + ".new");
   EXPECT_TRUE(write_calibration(file_, make_calibration()));
   EXPECT_TRUE(read_calibration(file_));
@@ -215,12 +205,12 @@ TEST_F(CalibrationFile, FollowsNoLinkThatWasPlantedAtItsUnfinishedName) {
   EXPECT_EQ(kept, "keep");
 }
 
-// Another one is there, while the searched one is away.
-TEST_F(CalibrationFile, OfACameraThatIsSearchedWaitsForThatCamera) {
-  const auto configured = [](bool searched) {
+// Another one is there in its place, or it came back on a slower bus with smaller pictures.
+TEST_F(CalibrationFile, OfACameraThatCanBePluggedWaitsForThatCamera) {
+  const auto configured = [](bool pluggable) {
     auto camera = std::make_unique<test::FakeCamera>();
     camera->format_of = [](int) { return FrameFormat{PixelFormat::kRgb24, 64, 36, 64 * 3}; };
-    return CalibratedCamera(std::move(camera), make_calibration(), searched).configure({}).code();
+    return CalibratedCamera(std::move(camera), make_calibration(), pluggable).configure({}).code();
   };
   EXPECT_EQ(configured(false), StatusCode::kInvalidInput);
   EXPECT_EQ(configured(true), StatusCode::kNotFound);
@@ -272,7 +262,7 @@ class CalibrateCommand : public CalibrationFile {
   // Pictures of the board, and one without.
   std::string make_pictures(int count) const {
     const BoardRenderer renderer{TrueCamera{}};
-    const fs::path pictures = folder_ / "pictures";
+    const fs::path pictures = folder_.file("pictures");
     fs::create_directories(pictures);
     const auto poses = test::good_poses();
     for (int i = 0; i < count; ++i) {
@@ -297,7 +287,7 @@ TEST_F(CalibrateCommand, MakesAFileThatRecordingsCarry) {
   EXPECT_TRUE(
       std::regex_match(calibration->date, std::regex(R"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ)")));
 
-  const std::string recording = (folder_ / "recording").string();
+  const std::string recording = folder_.file("recording");
   const Outcome recorded = lcdm({"record", "--source", source, "--output", recording, "--set",
                                  "camera.calibration=" + file_});
   ASSERT_EQ(recorded.status, 0) << recorded.text;
@@ -319,7 +309,7 @@ TEST_F(CalibrateCommand, ACalibrationOfAnotherShapeIsRefusedByWhateverUsesIt) {
   calibration.model.height = 180;
   ASSERT_TRUE(write_calibration(file_, calibration));
   const std::string source = make_pictures(1);
-  const Outcome outcome = lcdm({"record", "--source", source, "--output", folder_.string(), "--set",
+  const Outcome outcome = lcdm({"record", "--source", source, "--output", folder_.path(), "--set",
                                 "camera.calibration=" + file_});
   EXPECT_EQ(outcome.status, 78);
   EXPECT_THAT(outcome.text, HasSubstr("calibration is of 320x180"));

@@ -8,19 +8,21 @@
 #include <vector>
 
 #include "app/service.h"
-#include "tests/drivers/temporary_folder.h"
 #include "tests/firmware_pipeline/fake_camera.h"
 #include "tests/firmware_pipeline/tiny_engine.h"
+#include "tests/support/temporary_folder.h"
 
 namespace lcdm::test {
 
 class InnerServiceTest : public testing::Test {
  protected:
   // Call it once, when the camera has its script.
-  void make(const PipelineOptions& options = {}, Pipeline::EngineFactory engine = tiny_engine()) {
+  void make(const PipelineOptions& options = {}, Pipeline::EngineFactory engine = tiny_engine(),
+            Pipeline::EngineFactory small_engine = nullptr, const Config& config = {}) {
     pipeline_ = std::make_unique<Pipeline>(camera_, std::move(engine), nullptr,
-                                           std::vector<DepthSink*>{&view_, &recorder_}, options);
-    service_ = std::make_unique<Service>(*pipeline_, view_, recorder_, Config{});
+                                           std::vector<DepthSink*>{&view_, &recorder_}, options,
+                                           std::move(small_engine));
+    service_ = std::make_unique<Service>(*pipeline_, view_, recorder_, config);
   }
   void TearDown() override {
     view_.stop();

@@ -77,6 +77,25 @@ TEST_F(ServiceLoopTest, ASignalEndsAStartThatADriverHolds) {
   EXPECT_EXIT(start(), testing::ExitedWithCode(kExitOk), "");
 }
 
+// The camera fails, and the driver does not come back from opening it again.
+TEST_F(ServiceLoopTest, ADriverThatHoldsRecoveryDoesNotHoldTheEnd) {
+  camera_.on_configure = [](int call) {
+    if (call > 0) std::this_thread::sleep_for(milliseconds(60'000));
+    return Status::ok();
+  };
+  camera_.on_start = [](int call) {
+    return call == 0 ? Status::ok() : Status::error(StatusCode::kIoError, "fake: EIO");
+  };
+  camera_.on_dequeue = [](int) { return Status::error(StatusCode::kIoError, "fake: EIO"); };
+  make();
+  const auto end = [this] {
+    if (!pipeline_->start()) return;
+    while (camera_.configured < 2) std::this_thread::sleep_for(milliseconds(1));
+    service_->end(kExitFailure);
+  };
+  EXPECT_EXIT(end(), testing::ExitedWithCode(kExitFailure), "");
+}
+
 TEST_F(ServiceLoopTest, ASignalDuringTheStartIsHeardAfterIt) {
   camera_.on_configure = [](int) {
     kill(getpid(), SIGTERM);
@@ -101,7 +120,7 @@ TEST_F(ServiceLoopTest, ALongPressAsksForPowerOffBeforeTheRecordingEnds) {
 }
 
 // A stream that fails once, then a camera that is away for some tries, then the end of the script.
-TEST_F(ServiceLoopTest, EveryStepOfTheLadderIsALineOfTheLogButAWaitOnlyOnce) {
+TEST_F(ServiceLoopTest, EveryStepOfTheLadderIsALineOfTheLogUnlessItIsTheLastOneAgain) {
   camera_.on_dequeue = [](int call) {
     if (call == 30) return Status::error(StatusCode::kIoError, "fake: EIO");
     if (call == 60) return Status::error(StatusCode::kDeviceGone, "fake: unplugged");
@@ -118,7 +137,9 @@ TEST_F(ServiceLoopTest, EveryStepOfTheLadderIsALineOfTheLogButAWaitOnlyOnce) {
   EXPECT_THAT(log_, HasSubstr("recovery: stream restart: fake: EIO\n"));
   const std::size_t wait = log_.find("recovery: wait for device: fake: unplugged\n");
   ASSERT_NE(wait, std::string::npos) << log_;
-  EXPECT_EQ(log_.find("recovery: ", wait + 1), std::string::npos) << log_;
+  const std::size_t reason = log_.find("recovery: wait for device: fake: away\n", wait);
+  ASSERT_NE(reason, std::string::npos) << log_;
+  EXPECT_EQ(log_.find("recovery: ", reason + 1), std::string::npos) << log_;
 }
 
 TEST_F(ServiceLoopTest, APageThatDoesNotAnswerDegradesTheDevice) {
@@ -131,6 +152,21 @@ TEST_F(ServiceLoopTest, APageThatDoesNotAnswerDegradesTheDevice) {
   service_->watch_page(page);
   EXPECT_TRUE(run());
   EXPECT_THAT(log_, HasSubstr("degraded: thread page gives no sign of life"));
+}
+
+// No network gives ten thousand depths a second.
+TEST_F(ServiceLoopTest, ANetworkThatIsTooSlowGivesWayToTheSmallerOne) {
+  Config config;
+  config.service.least_rate = 10'000;
+  make({}, test::tiny_engine(96), test::tiny_engine(64), config);
+  camera_.on_dequeue = [this](int call) {
+    const bool small = pipeline_->engine().stats.width == 64;
+    return call < 60'000 && !small ? Status::ok()
+                                   : Status::error(StatusCode::kEndOfStream, "fake: the end");
+  };
+  EXPECT_TRUE(run());
+  EXPECT_EQ(pipeline_->engine().stats.width, 64);
+  EXPECT_THAT(log_, HasSubstr("degraded: smaller network: "));
 }
 
 TEST_F(ServiceLoopTest, TheLastRungEndsTheProcessSoThatSystemdStartsAnother) {

@@ -22,6 +22,7 @@ class FakeCamera final : public Camera {
   std::function<Status(int)> on_configure = [](int) { return Status::ok(); };
   std::function<Status(int)> on_start = [](int) { return Status::ok(); };
   std::function<Status(int)> on_dequeue = [](int) { return Status::ok(); };  // ok: a frame
+  std::function<Status(int)> on_requeue = [](int) { return Status::ok(); };
   std::function<void()> on_stop = [] {};
   std::function<FrameFormat(int)> format_of = [](int) {
     return FrameFormat{PixelFormat::kRgb24, 64, 48, 64 * 3};
@@ -36,6 +37,7 @@ class FakeCamera final : public Camera {
   std::atomic<int> started{0};
   std::atomic<int> stopped{0};
   std::atomic<int> dequeued{0};
+  std::atomic<int> requeued{0};
   std::atomic<int> delivered{0};
   std::atomic<bool> running{false};
 
@@ -80,6 +82,7 @@ class FakeCamera final : public Camera {
   }
   Status requeue(int index) override {
     LCDM_CHECK(running && index >= 0 && index < kBuffers && lent_[index]);
+    LCDM_RETURN_IF_ERROR(on_requeue(requeued++));
     lent_[index] = false;
     return Status::ok();
   }

@@ -98,6 +98,18 @@ TEST_F(PipelineTest, ASlowCameraIsNotASilentOne) {
   EXPECT_EQ(steps_on(RecoveryRung::kRestartStream), 0U);
 }
 
+// Unnoticed the driver would have fewer and fewer of them.
+TEST_F(PipelineTest, ABufferThatTheDriverRefusesRestartsTheStream) {
+  camera_.on_requeue = [](int call) {
+    return call == 5 ? Status::error(StatusCode::kIoError, "fake: EINVAL of VIDIOC_QBUF")
+                     : Status::ok();
+  };
+  start(fast());
+  ASSERT_TRUE(eventually([&] { return camera_.requeued > 20; }));
+  pipeline_->stop();
+  EXPECT_EQ(steps_on(RecoveryRung::kRestartStream), 1U);
+}
+
 TEST_F(PipelineTest, AnErrorOfTheDriverRestartsTheStream) {
   camera_.on_dequeue = [](int call) {
     return call == 10 ? Status::error(StatusCode::kIoError, "fake: EIO") : Status::ok();
@@ -233,10 +245,23 @@ TEST_F(CameraThatFailsAtTheStartTest, IsCuredByAResetOfItsPort) {
   EXPECT_EQ(steps_on(RecoveryRung::kResetPort), 1U);
 }
 
-TEST_F(CameraThatFailsAtTheStartTest, IsAnErrorOfStartWhereOnlyAPersonCanCureIt) {
-  for (const Status& fault : {Status::system(EACCES, "fake: join the group video"),
-                              Status::system(EPERM, "fake: not allowed"),
-                              Status::error(StatusCode::kUnsupported, "fake: no known format"),
+// As at boot, before udev has given its node to the group.
+TEST_F(CameraThatFailsAtTheStartTest, IsWaitedForUntilItMayBeOpened) {
+  for (const int denied : {EACCES, EPERM}) {
+    camera_.on_configure = [denied](int call) {
+      return call < 10 ? Status::system(denied, "fake: not allowed") : Status::ok();
+    };
+    camera_.configured = 0;
+    make(options_);
+    ASSERT_TRUE(pipeline_->start());
+    ASSERT_TRUE(reaches(PipelineState::kStreaming));
+    pipeline_->stop();
+    EXPECT_EQ(steps_on(RecoveryRung::kReopen), 10U) << "and its port is left alone";
+  }
+}
+
+TEST_F(CameraThatFailsAtTheStartTest, IsAnErrorOfStartWhereOnlyAnotherStartCanCureIt) {
+  for (const Status& fault : {Status::error(StatusCode::kUnsupported, "fake: no known format"),
                               Status::error(StatusCode::kInvalidInput, "fake: another shape")}) {
     camera_.on_configure = [&](int) { return fault; };
     make(options_);

@@ -222,6 +222,20 @@ TEST_F(SupervisorTest, WhatIsLostIsSaid) {
   EXPECT_TRUE(now_.alive);
 }
 
+TEST_F(SupervisorTest, ASecondLossIsSaidBesideTheFirst) {
+  seen_.effort = Effort::kSmallNetwork;
+  seen_.effort_reason = "the board is hot";
+  stream();
+  const std::size_t before = changes_.size();
+  seen_.output_fault = "recording ended: the disk is full";
+  stream();
+  EXPECT_STREQ(now_.reason, "recording ended: the disk is full; smaller network: the board is hot");
+  EXPECT_EQ(changes_.size(), before + 1);
+  seen_.effort_reason = "the board is hotter";
+  stream();
+  EXPECT_EQ(changes_.size(), before + 1) << "other words are no other loss";
+}
+
 // It does not begin again by itself: a device that is well is not called degraded for ever.
 TEST_F(SupervisorTest, ARecordingThatEndedByItselfDegradesForAMinute) {
   stream();
