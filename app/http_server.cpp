@@ -199,7 +199,7 @@ Status HttpServer::listen() {
   options_.listen.erase(first_left_out, options_.listen.end());
   if (options_.listen.empty()) {
     return Status::error(
-        StatusCode::kUnavailable,
+        StatusCode::kNotFound,
         "http: cannot listen on %s: this machine has no such address now, or its "
         "HTTP library (civetweb) was built without IPv6: set http.listen (--listen) to "
         "127.0.0.1, 0.0.0.0 or an address it has",

@@ -85,6 +85,7 @@ struct HttpOptions {
 // Threads: start and stop belong to the owner; routes run on the pool's threads, several at once.
 class HttpServer {
  public:
+  // kNotFound: this machine has none of the addresses now; kUnavailable: the port is taken.
   static Result<std::unique_ptr<HttpServer>> start(const HttpOptions& options,
                                                    std::vector<HttpRoute> routes);
   ~HttpServer() { stop(); }

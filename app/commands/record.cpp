@@ -133,7 +133,9 @@ void add_record_command(CLI::App& program, int& exit_code) {
       "record", "Frames of a source with stamps and calibration into MCAP segments");
   command->add_option("--source", options->source, "As for run; files are recorded frame by frame")
       ->type_name("URI");
-  command->add_option("--output", options->output, "Folder of the segments (default: recordings)")
+  command
+      ->add_option("--output", options->output,
+                   "Folder of the segments (default: record.directory)")
       ->type_name("DIR");
   command
       ->add_option("--seconds", options->seconds,

@@ -9,11 +9,10 @@
 #include "app/commands/commands.h"
 #include "app/common_options.h"
 #include "app/engine_factory.h"
-#include "app/http_server.h"
 #include "app/http_token.h"
 #include "app/live_view.h"
 #include "app/mjpeg_decoder.h"
-#include "app/page_check.h"
+#include "app/page.h"
 #include "app/recorder.h"
 #include "app/report.h"
 #include "app/service.h"
@@ -84,27 +83,23 @@ int run(const RunOptions& options) {
   Service service(pipeline, view, recorder, *config);
 
   // The port before the pipeline: what cannot be shown need not start.
-  const auto server = HttpServer::start(*http, web_routes(pipeline, view, recorder, service));
-  if (!server) return report(server.status());
-  for (const std::string& address : (*server)->left_out()) {
-    std::printf("http.listen: %s cannot be had on this machine now: left out\n", address.c_str());
-  }
-
-  PageCheck page_check((*server)->local_address(), (*server)->port());
-  service.watch_page(page_check.heartbeat());
+  const auto page = Page::start(*http, web_routes(pipeline, view, recorder, service));
+  if (!page) return report(page.status());
+  service.watch_page((*page)->heartbeat());
 
   Status status = service.start(signals);
   if (status) {
-    std::printf("page    %s\n", (*server)->address().c_str());
+    const std::string address = (*page)->address();
+    if (!address.empty()) std::printf("page    %s\n", address.c_str());
     std::fflush(stdout);
     status = service.run(signals);
   }
   view.stop();
-  (*server)->stop();
-  page_check.stop();
-  pipeline.stop();
-  recorder.stop();
-  return status ? kExitOk : report(status);
+  (*page)->stop();
+  recorder.stop();  // before the pipeline, which a driver may hold: the file is whole
+  const int exit_code = status ? kExitOk : report(status);
+  service.end(exit_code);
+  return exit_code;
 }
 
 }  // namespace
@@ -115,11 +110,12 @@ void add_run_command(CLI::App& program, int& exit_code) {
       "run", "The camera service: depth of a live source, shown on a page in the browser");
   command
       ->add_option("--source", options->source,
-                   std::string("auto, ") + kSourceForms + " (default: auto)")
+                   std::string("auto, ") + kSourceForms + " (default: camera.source)")
       ->type_name("URI");
-  command->add_option("--listen", options->listen, "Address of the page (default: 127.0.0.1)")
+  command->add_option("--listen", options->listen, "Addresses of the page (default: http.listen)")
       ->type_name("ADDR");
-  command->add_option("--port", options->port, "Port of the page (default: 8080)")->type_name("N");
+  command->add_option("--port", options->port, "Port of the page (default: http.port)")
+      ->type_name("N");
   options->common.add_to(*command);
   options->common.add_model_to(*command);
   command->callback([options, &exit_code] { exit_code = run(*options); });

@@ -18,8 +18,9 @@ gpio_set_up() {
   gpio_service
   within 60 depth_flows
 }
+# gpio_service [LIGHT]
 gpio_service() {
-  set_service LCDM_GPIO_LIGHT=lcdm-light LCDM_GPIO_BUTTON=lcdm-button \
+  set_service "LCDM_GPIO_LIGHT=${1:-lcdm-light}" LCDM_GPIO_BUTTON=lcdm-button \
     LCDM_GPIO_HEARTBEAT=lcdm-heartbeat
 }
 
@@ -56,6 +57,22 @@ gpio_heartbeat() {
   (($(ones "$levels") > 10 && $(ones "$levels") < 50))
 }
 
+# The service ends while its heartbeat is high and its light, here active when low, is lit: both lines are
+# driven to their safe level. A simulated line that nobody holds shows its pull, whatever it was driven to
+# before: the kernel's trace has that.
+gpio_ends_safe() {
+  local levels
+  gpio_service '!lcdm-light'
+  within 60 depth_flows >&2 || return
+  levels=$(on_guest "cd /sys/kernel/tracing && : >trace && echo 1 >events/gpio/gpio_value/enable || exit
+    until grep -q 0 $gpio/sim_gpio2/value; do :; done; until grep -q 1 $gpio/sim_gpio2/value; do :; done
+    systemctl stop lcdm; echo 0 >events/gpio/gpio_value/enable; systemctl start lcdm
+    first=\$(cat $gpio/../gpio/gpiochip*/base)
+    for line in \$first \$((first + 2)); do sed -n \"s/.*gpio_value: \$line set //p\" trace | tail -1; done | paste -sd' '")
+  echo "light (active when low) and heartbeat at the end: $levels"
+  within 60 depth_flows >&2 && [[ $levels == '1 0' ]]
+}
+
 recording_is() { [[ $(status .recording.on) == "$1" ]]; }
 gpio_button() {
   press_button 0.4
@@ -77,20 +94,38 @@ gpio_power_off() {
 }
 guest_is_off() { ! kill -0 "$guest_pid" 2>/dev/null; }
 
+# The network over the cable is enabled, with a controller that the next boot brings.
+usb_is_enabled() {
+  on_guest 'printf "dummy_hcd\ncdc_ncm\n" >/etc/modules-load.d/usb.conf && systemctl enable lcdm-usb' >&2
+}
+# The page as shipped answers over the cable after a boot, without anybody's doing. No camera is there yet.
+# Off again afterwards: other checks begin without it.
+usb_comes_with_boot() {
+  local rc=0
+  { within 60 cable_up_since && usb_host_gets_address && within 60 usb_page_answers /; } >&2 || rc=1
+  echo "up $(($(cable_up_since) / 1000000)) s after the kernel's first moment, $(on_guest systemctl show lcdm-usb -p NRestarts --value) tries more"
+  on_guest 'systemctl disable --now lcdm-usb && rm /etc/modules-load.d/usb.conf' >&2 || rc=1
+  return "$rc"
+}
+
 # The host's end of the cable is a network name space of the same guest. The service listens as shipped
-# (and where we reach it), and is up before the network is: the address that it left out is one it listens
-# on afterwards.
+# (and where we reach it), and is up before the network is: the address that it waited for is one it listens
+# on afterwards. Before there is a controller the unit fails, and does not try again and again.
 host_end='ip netns exec host'
 usb_network() {
-  set_service "LCDM_HTTP_LISTEN=10.0.2.15,$(on_guest "sed -n 's/^listen = \"\(.*\)\"/\1/p' /etc/lcdm/lcdm.toml")"
+  on_guest '! systemctl start lcdm-usb && systemctl is-failed --quiet lcdm-usb' >&2 || return
+  set_token || return
+  set_service LCDM_HTTP_TOKEN_FILE=/etc/lcdm/token \
+    "LCDM_HTTP_LISTEN=10.0.2.15,$(on_guest "sed -n 's/^listen = \"\(.*\)\"/\1/p' /etc/lcdm/lcdm.toml")"
   within 60 depth_flows >&2 || return
-  on_guest 'journalctl -b -u lcdm | grep -q "192.168.58.1 cannot be had on this machine now: left out"' || return
+  on_guest 'journalctl -b -u lcdm | grep -q "this machine does not have 192.168.58.1 now: waiting for it"' || return
   on_guest 'modprobe dummy_hcd && modprobe cdc_ncm && systemctl start lcdm-usb' >&2 || return
   usb_host_gets_address >&2 || return
   within 60 usb_page_answers >&2 || return
   on_guest "$host_end ip -4 -o address show dev cable | grep -o '192[0-9.]*/24'"
 }
-usb_page_answers() { on_guest "$host_end curl -sf --max-time 5 http://192.168.58.1:8080/healthz"; }
+# usb_page_answers [PATH]
+usb_page_answers() { on_guest "$host_end curl -sf --max-time 5 http://192.168.58.1:8080${1:-/healthz}"; }
 usb_host_gets_address() {
   on_guest 'for i in $(seq 60); do
       link=$(ip -o link | sed -n "s/^[0-9]*: \([^:]*\):.*02:1c:d3:00:00:02.*/\1/p")
@@ -99,17 +134,21 @@ usb_host_gets_address() {
     ip netns add host 2>/dev/null; ip link set "$link" down; ip link set "$link" name cable netns host &&
       ip -n host link set cable up && ip netns exec host udhcpc -i cable -n -q -t 20 -T 2'
 }
-usb_control_is_refused() {
-  local code
-  code=$(on_guest "$host_end curl -s -o /dev/null -w '%{http_code}' --max-time 20 -X POST http://192.168.58.1:8080/record/start")
-  echo "POST /record/start over the cable: $code"
-  [[ $code == 401 || $code == 403 ]]
+usb_control_needs_the_token() {
+  local codes post="$host_end curl -s -o /dev/null -w '%{http_code} ' --max-time 20 -X POST http://192.168.58.1:8080/record/stop"
+  codes=$(on_guest "$post; $post -H 'Authorization: Bearer wrong'; $post -H 'Authorization: Bearer $token'")
+  echo "without, with another, with the token: $codes"
+  [[ $codes == '401 401 200 ' ]]
 }
-# Without an address the gadget is no use: it is taken back, and the controller is free.
+# Without an address the gadget is no use: it is taken back, and the controller is free. The unit tries
+# again until there is one.
 usb_failed_up() {
-  on_guest 'systemctl stop lcdm-usb && mkdir -p /root/blind && ln -sf /bin/true /root/blind/ip &&
-    ! PATH=/root/blind:$PATH /usr/libexec/lcdm/usb-gadget up &&
-    [ ! -e /sys/kernel/config/usb_gadget/lcdm ]' >&2
+  on_guest 'systemctl stop lcdm-usb && cd /run/systemd/system && mkdir -p /root/blind lcdm-usb.service.d &&
+    ln -sf /bin/true /root/blind/ip &&
+    printf "[Service]\nEnvironment=PATH=/root/blind:$PATH\n" >lcdm-usb.service.d/blind.conf && systemctl daemon-reload &&
+    ! systemctl start lcdm-usb && [ ! -e /sys/kernel/config/usb_gadget/lcdm ] && rm /root/blind/ip' >&2 || return
+  within 30 cable_up_since || return
+  on_guest 'rm -r /run/systemd/system/lcdm-usb.service.d && systemctl daemon-reload' >&2
 }
 
 # Down leaves nothing, twice is no mistake, and up makes it anew.

@@ -17,9 +17,11 @@ package_installs() {
 }
 
 # Nobody has touched the configuration, and no camera is there: it is waited for, and the rendered
-# scene is not shown in its place.
+# scene is not shown in its place. With everything that is checked, the USB cable's network is enabled
+# (usb_comes_with_boot).
 boots_as_shipped() {
   local boot
+  ! $all || usb_is_enabled || return
   boot=$(boot_number)
   on_guest systemctl reboot >&2 || true
   hang_up
@@ -92,11 +94,15 @@ control_is_refused() {
   [[ $code == 401 || $code == 403 ]]
 }
 
+# As systemd/README.md has people do it; purging takes it away.
+token=appliance-4711-once
+set_token() { on_guest "install -m 640 -g lcdm /dev/stdin /etc/lcdm/token <<<$token" >&2; }
+
 # With a token the same is allowed to those who know it. The account of the service reads it, and it
 # is in no log.
 control_needs_the_token() {
-  local token=appliance-4711-once codes
-  on_guest "install -m 640 -g lcdm /dev/stdin /etc/lcdm/token <<<$token" >&2 || return
+  local codes
+  set_token || return
   set_service LCDM_HTTP_TOKEN_FILE=/etc/lcdm/token
   within 60 depth_flows >&2 || return
   codes="$(http_code /record/stop -X POST) $(http_code /record/stop -X POST -H 'Authorization: Bearer wrong')"
@@ -104,7 +110,6 @@ control_needs_the_token() {
   echo "without, with another, with the token: $codes"
   ! on_guest "journalctl -b | grep $token" >&2 || return
   set_service
-  on_guest rm /etc/lcdm/token
   within 60 depth_flows >&2 && [[ $codes == '401 401 200' ]]
 }
 
@@ -127,14 +132,18 @@ freeze_inference() {
     echo threaded >held/cgroup.type && echo ${task##*/} >held/cgroup.threads && echo 1 >held/cgroup.freeze' >&2
 }
 watchdog_restarts() {
-  local before begin=$EPOCHREALTIME
+  local before missed begin
   before=$(on_guest systemctl show lcdm -p NRestarts --value)
+  missed=$(missed_pings)
+  begin=$EPOCHREALTIME
   "$1" || return
   within 60 service_was_restarted "$before" >&2 || return
   within 60 depth_flows >&2 || return
-  on_guest journalctl -b -u lcdm | grep -c 'Watchdog timeout' >"$work/watchdogs"
-  echo "$(seconds "$(elapsed_ms "$begin")"), $(<"$work/watchdogs") in this boot"
+  echo "$(seconds "$(elapsed_ms "$begin")"), $(missed_pings) in this boot"
+  (($(missed_pings) > missed))
 }
+# How often systemd itself has said so.
+missed_pings() { on_guest journalctl -b -u lcdm | grep -c 'Watchdog timeout'; }
 service_was_restarted() { (($(on_guest systemctl show lcdm -p NRestarts --value) > $1)); }
 
 # The kernel crashes and hangs: the machine is reset, boots, and depth flows again by itself.
@@ -177,9 +186,12 @@ power_cut_keeps_recording() {
 }
 
 # A newer package, whose configuration changed in a line: what the user wrote is kept, the new file
-# lies beside it, and the service is another process.
+# lies beside it, and the service is another process. The cable, over which somebody may be upgrading,
+# stays up.
 package_upgrades() {
-  local before
+  local before cable
+  on_guest 'modprobe dummy_hcd && systemctl enable --now lcdm-usb' >&2 || return
+  cable=$(cable_up_since) || return
   before=$(on_guest systemctl show lcdm -p MainPID --value) || return
   on_guest 'echo "# mine" >>/etc/lcdm/lcdm.toml && cd /root && rm -rf newer && dpkg-deb -R lcdm.deb newer &&
     sed -i "s/^Version: .*/&+newer/" newer/DEBIAN/control && echo "# newer" >>newer/etc/lcdm/lcdm.toml &&
@@ -187,12 +199,18 @@ package_upgrades() {
     grep -q "# mine" /etc/lcdm/lcdm.toml && grep -q "# newer" /etc/lcdm/lcdm.toml.dpkg-dist' >&2 || return
   within 90 depth_flows >&2 || return
   on_guest "dpkg-query -W -f '\${Version}' lcdm" && echo
-  [[ $(on_guest systemctl show lcdm -p MainPID --value) != "$before" ]]
+  [[ $(on_guest systemctl show lcdm -p MainPID --value) != "$before" && $(cable_up_since) == "$cable" ]]
+}
+cable_up_since() {
+  on_guest 'systemctl is-active --quiet lcdm-usb && systemctl show lcdm-usb -p ActiveEnterTimestampMonotonic --value'
 }
 
+# Where no check's settings are left, which may name the token.
 package_purges() {
+  set_service && set_token || return
   on_guest 'dpkg -r lcdm && ! systemctl is-active --quiet lcdm && test -e /etc/lcdm/lcdm.toml &&
-    test -d /var/lib/lcdm/recordings' >&2 || return
+    test -e /etc/lcdm/token && test -d /var/lib/lcdm/recordings &&
+    [ ! -e /sys/kernel/config/usb_gadget/lcdm ]' >&2 || return
   on_guest 'dpkg -P lcdm && [ -z "$(ls -d /etc/lcdm /var/lib/lcdm /usr/share/lcdm /usr/bin/lcdm \
     /etc/systemd/system/*.wants/lcdm* 2>/dev/null)" ] && [ -z "$(systemctl --failed --quiet --no-legend)" ]' >&2
 }

@@ -47,6 +47,7 @@ check 'boots' boots
 ((failures == 0)) || { tail -20 "$work/console.log"; exit 1; }
 check 'package installs, service is ready' package_installs
 check 'boots as shipped: waits for a camera' boots_as_shipped
+if $all; then check 'USB: page over the cable after a boot' usb_comes_with_boot; fi
 check 'recordings are private' recordings_are_private
 check 'hardware watchdog as shipped' hardware_watchdog_is_set
 check 'exposure 2.0 or better' exposure
@@ -84,10 +85,11 @@ if $all; then
   check 'GPIO: lines by name' gpio_set_up
   check 'GPIO: light' gpio_light
   check 'GPIO: heartbeat' gpio_heartbeat
+  check 'GPIO: safe levels at the end' gpio_ends_safe
   check 'GPIO: button records' gpio_button
   check 'USB: page over the cable' usb_network
-  check 'USB: control needs the token' usb_control_is_refused
-  check 'USB: an up that fails' usb_failed_up
+  check 'USB: control needs the token' usb_control_needs_the_token
+  check 'USB: no address, then one' usb_failed_up
   check 'USB: down and up' usb_down_and_up
   check 'webcam: uvcvideo on a USB bus' webcam_comes
   check 'webcam hangs: port reset' recovers '.port_resets == 1' webcam_hangs
