@@ -42,7 +42,7 @@ class BoardCalibrator {
   // Where to hold the board next, as "at the top left".
   std::string where_next() const;
 
-  // Model, views and error. kInvalidInput: the views give no calibration to rely on; the text says
+  // Model, views and error. kUnavailable: the views give no calibration to rely on; the text says
   // why and what cures it.
   Result<Calibration> solve() const;
 

@@ -27,6 +27,12 @@ void fit_threads(Config& config) {
 
 }  // namespace
 
+Overrides& Overrides::add(const char* key, const char* option, const std::string& value) {
+  const std::string given = std::string(option) + " " + value;
+  if (!value.empty()) assignments_.push_back({std::string(key) + "=" + value, given});
+  return *this;
+}
+
 void CommonOptions::add_to(CLI::App& command) {
   command.add_option("--config", config_file, "Configuration file (default: /etc/lcdm/lcdm.toml)")
       ->type_name("FILE");

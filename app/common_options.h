@@ -3,6 +3,7 @@
 
 #include <CLI/CLI.hpp>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "app/config.h"
@@ -13,6 +14,17 @@
 #include "firmware/pipeline/camera.h"
 
 namespace lcdm {
+
+// What a command's own options say of the configuration: `option` overrides `key` where `value` is
+// not empty.
+class Overrides {
+ public:
+  Overrides& add(const char* key, const char* option, const std::string& value);
+  std::vector<ConfigAssignment> take() { return std::move(assignments_); }
+
+ private:
+  std::vector<ConfigAssignment> assignments_;
+};
 
 // --config, --set and --model. Lives as long as the command line is parsed and its command runs.
 struct CommonOptions {

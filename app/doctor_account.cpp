@@ -13,6 +13,7 @@
 #include <system_error>
 #include <unistd.h>
 
+#include "app/source.h"
 #include "firmware/base/folder.h"
 
 namespace lcdm {
@@ -171,10 +172,10 @@ Config as_seen_by(const Account& account, Config config) {
     if (!path.empty()) path = (fs::path(account.directory) / path).string();
   };
   for (const char* scheme : {"file:", "mcap:"}) {
-    if (config.camera.source.rfind(scheme, 0) != 0) continue;
-    std::string path = config.camera.source.substr(5);
-    place(path);
-    config.camera.source = scheme + path;
+    std::optional<std::string> path = after_scheme(config.camera.source, scheme);
+    if (!path) continue;
+    place(*path);
+    config.camera.source = scheme + *path;
   }
   place(config.camera.calibration);
   place(config.model.file);

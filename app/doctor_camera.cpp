@@ -25,7 +25,7 @@ std::string number(double value) {
 }
 
 bool is_camera_source(const std::string& source) {
-  return source == "auto" || source.rfind("v4l2:", 0) == 0 || source.rfind("libcamera:", 0) == 0;
+  return source == "auto" || after_scheme(source, "v4l2:") || after_scheme(source, "libcamera:");
 }
 
 // A camera on a slower bus than it could use: no rate, or only compressed frames.
@@ -70,8 +70,8 @@ Finding check_port_reset(const V4l2Node& node, const Account& account) {
 
 // The node that the configuration's source means now; empty: none.
 std::string configured_node(const std::string& source, const std::vector<V4l2Node>& nodes) {
-  if (source.rfind("v4l2:", 0) == 0) {
-    const Result<std::string> found = find_v4l2_node(source.substr(5));
+  if (const auto selector = after_scheme(source, "v4l2:")) {
+    const Result<std::string> found = find_v4l2_node(*selector);
     return found ? *found : "";
   }
   if (source != "auto") return "";
@@ -90,10 +90,10 @@ std::vector<std::string> libcamera_cameras() {
 
 // A source that is no camera: its files must be there.
 Finding check_replayed(const std::string& source) {
-  const std::size_t colon = source.find(':');
+  const auto video = after_scheme(source, "file:");
+  const auto path = video ? video : after_scheme(source, "mcap:");
   std::error_code error;
-  const bool is_files = source.rfind("file:", 0) == 0 || source.rfind("mcap:", 0) == 0;
-  if (is_files && !std::filesystem::exists(source.substr(colon + 1), error)) {
+  if (path && !std::filesystem::exists(*path, error)) {
     return fault("camera", source + ": there is no such file or folder: set camera.source");
   }
   return well("camera", source + ": needs none");
@@ -125,8 +125,8 @@ std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std
     findings.push_back(check_node(node, account));
     if (node.usable && !node.usb.empty()) findings.push_back(check_port_reset(node, account));
   }
-  if (source.rfind("v4l2:", 0) == 0) {
-    const Result<std::string> node = find_v4l2_node(source.substr(5));
+  if (const auto selector = after_scheme(source, "v4l2:")) {
+    const Result<std::string> node = find_v4l2_node(*selector);
     V4l2Device device;
     const Status opened = node ? device.open(*node) : node.status();
     const bool closed_to_us_alone = !account.is_caller && opened.sys_errno() == EACCES;
@@ -136,7 +136,7 @@ std::vector<Finding> check_cameras(const std::vector<V4l2Node>& nodes, const std
         warning("camera", "auto finds none and shows the rendered scene: plug one in"));
   } else if (!is_camera_source(source)) {
     findings.push_back(check_replayed(source));
-  } else if (source.rfind("libcamera:", 0) == 0) {
+  } else if (after_scheme(source, "libcamera:")) {
     findings.push_back(check_libcamera(source, libcamera_cameras()));
   }
   return findings;
@@ -192,7 +192,7 @@ Finding check_arrivals(const Result<float>& measured, float wanted) {
 
 std::vector<Finding> check_rates(const Config& config, const std::vector<V4l2Node>& nodes) {
   const std::string& source = config.camera.source;
-  if (source.rfind("libcamera:", 0) == 0) {
+  if (after_scheme(source, "libcamera:")) {
     const bool known = check_libcamera(source, libcamera_cameras()).severity == Severity::kOk;
     return known ? std::vector{try_camera(source, config)} : std::vector<Finding>{};
   }

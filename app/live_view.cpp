@@ -10,8 +10,6 @@
 namespace lcdm {
 namespace {
 
-constexpr int kJpegQuality = 85;
-constexpr std::size_t kJpegHead = 4096;
 constexpr int kNiceSteps = 5;
 
 std::size_t depth_values(const DepthFrame& frame) {
@@ -102,13 +100,17 @@ void LiveView::encode() {
 }
 
 void LiveView::encode_colour() {
-  if (!encode_jpeg(colour_jpeg_, working_.frame.pixels)) return;
-  if (wanted(Product::kColourJpeg)) publish(Product::kColourJpeg, 0);
+  const Result<std::span<const std::byte>> jpeg = colour_jpeg_.encode(working_.frame.pixels);
+  if (!jpeg) return;
+  if (wanted(Product::kColourJpeg)) publish(Product::kColourJpeg, *jpeg);
   if (!wanted(Product::kLive)) return;
-  const std::size_t jpeg_bytes = encoded_.size();
-  const auto raw = std::as_bytes(std::span(working_.depth).first(depth_values(working_.frame)));
-  encoded_.insert(encoded_.end(), raw.begin(), raw.end());
-  publish(Product::kLive, jpeg_bytes);
+  publish(Product::kLive, *jpeg,
+          std::as_bytes(std::span(working_.depth).first(depth_values(working_.frame))));
+}
+
+void LiveView::encode_picture(Product product, JpegWriter& writer, const RgbPicture& picture) {
+  const Result<std::span<const std::byte>> jpeg = writer.encode(picture.view());
+  if (jpeg) publish(product, *jpeg);
 }
 
 void LiveView::encode_painted() {
@@ -120,13 +122,11 @@ void LiveView::encode_painted() {
   }
   depth_picture_.resize(working_.frame.camera.width, working_.frame.camera.height);
   colours_.paint(depth, depth_picture_.pixels);
-  if (wanted(Product::kDepthJpeg) && encode_jpeg(depth_jpeg_, depth_picture_)) {
-    publish(Product::kDepthJpeg, 0);
-  }
+  if (wanted(Product::kDepthJpeg)) encode_picture(Product::kDepthJpeg, depth_jpeg_, depth_picture_);
   if (!wanted(Product::kSideJpeg)) return;
   to_rgb(working_.frame.pixels, colour_picture_);
   put_side_by_side(colour_picture_, depth_picture_, side_picture_);
-  if (encode_jpeg(side_jpeg_, side_picture_)) publish(Product::kSideJpeg, 0);
+  encode_picture(Product::kSideJpeg, side_jpeg_, side_picture_);
 }
 
 void LiveView::encode_png() {
@@ -143,36 +143,21 @@ void LiveView::encode_png() {
                                             {"cy", std::to_string(camera.cy)},
                                             {"calibrated", camera.calibrated ? "yes" : "no"}}};
   const Status status = encode_depth_png(std::span(working_.depth).first(depth_values(frame)),
-                                         camera.width, camera.height, texts, encoded_);
-  if (status) publish(Product::kDepthPng, 0);
+                                         camera.width, camera.height, texts, png_);
+  if (status) publish(Product::kDepthPng, png_);
 }
 
-bool LiveView::encode_jpeg(Jpeg& jpeg, const RgbPicture& picture) {
-  const FrameFormat format{PixelFormat::kRgb24, picture.width, picture.height, picture.width * 3};
-  return encode_jpeg(jpeg, FrameView{format, {}, picture.pixels.data(), picture.pixels.size()});
-}
-
-// Into encoded_.
-bool LiveView::encode_jpeg(Jpeg& jpeg, const FrameView& picture) {
-  if (picture.format != jpeg.format) {
-    jpeg.format = {};
-    if (!jpeg.encoder.prepare(picture.format, kJpegQuality)) return false;
-    jpeg.format = picture.format;
-  }
-  encoded_.resize(picture_bytes(picture.format) * 2 + kJpegHead);  // enough for a JPEG of noise
-  const Result<std::size_t> bytes = jpeg.encoder.encode(picture, encoded_);
-  if (bytes) encoded_.resize(*bytes);
-  return bytes.is_ok();
-}
-
-void LiveView::publish(Product product, std::size_t jpeg_bytes) {
+// `depth`: behind the picture, in the product of both.
+void LiveView::publish(Product product, std::span<const std::byte> picture,
+                       std::span<const std::byte> depth) {
   Slot& target = slot(product);
   {
     const std::lock_guard lock(target.mutex);
     const DepthFrame& frame = working_.frame;
-    target.product = {working_.number, frame.meta, frame.camera,
-                      frame.scale,     jpeg_bytes, std::move(target.product.bytes)};
-    target.product.bytes.assign(encoded_.begin(), encoded_.end());
+    target.product = {working_.number, frame.meta,     frame.camera,
+                      frame.scale,     picture.size(), std::move(target.product.bytes)};
+    target.product.bytes.assign(picture.begin(), picture.end());
+    target.product.bytes.insert(target.product.bytes.end(), depth.begin(), depth.end());
   }
   target.filled.notify_all();
 }

@@ -8,6 +8,7 @@
 #include <condition_variable>
 #include <cstdint>
 #include <mutex>
+#include <span>
 #include <string>
 #include <thread>
 #include <vector>
@@ -35,7 +36,7 @@ struct ProductCopy {
   FrameMeta meta;
   CameraModel camera;  // of the depth
   ScaleKind scale = ScaleKind::kRelative;
-  std::size_t jpeg_bytes = 0;  // kLive: how many of `bytes` are the JPEG
+  std::size_t picture_bytes = 0;  // how many of `bytes` are the picture; kLive: the rest is depth
   std::vector<std::byte> bytes;
 };
 
@@ -109,18 +110,12 @@ class LiveView final : public DepthSink {
   void run();
   bool fetch();
   void encode();
-  // A JPEG encoder that prepares itself for whatever format comes.
-  struct Jpeg {
-    JpegEncoder encoder;
-    FrameFormat format;
-  };
-
   void encode_colour();
   void encode_painted();
   void encode_png();
-  bool encode_jpeg(Jpeg& jpeg, const FrameView& picture);
-  bool encode_jpeg(Jpeg& jpeg, const RgbPicture& picture);
-  void publish(Product product, std::size_t jpeg_bytes);
+  void encode_picture(Product product, JpegWriter& writer, const RgbPicture& picture);
+  void publish(Product product, std::span<const std::byte> picture,
+               std::span<const std::byte> depth = {});
 
   const std::string source_name_;
   std::array<Slot, kProducts> slots_;
@@ -135,15 +130,15 @@ class LiveView final : public DepthSink {
   bool stopping_ = false;
 
   FrameCopy working_;  // from here on: encode thread only
-  Jpeg colour_jpeg_;
-  Jpeg depth_jpeg_;
-  Jpeg side_jpeg_;
+  JpegWriter colour_jpeg_{kStreamedQuality};
+  JpegWriter depth_jpeg_{kStreamedQuality};
+  JpegWriter side_jpeg_{kStreamedQuality};
   DepthColour colours_;
   bool has_range_ = false;
   RgbPicture colour_picture_;
   RgbPicture depth_picture_;
   RgbPicture side_picture_;
-  std::vector<std::byte> encoded_;
+  std::vector<std::byte> png_;
 
   std::thread thread_;
 };

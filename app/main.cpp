@@ -44,7 +44,7 @@ int main(int argc, char** argv) {
     CLI::App program("LCDM-Mono: depth from one camera", "lcdm");
     program.require_subcommand(1);
     program.set_version_flag("--version", std::string("lcdm ") + lcdm::kVersion,
-                             "As the command version");
+                             "Print the version");
     int exit_code = lcdm::kExitOk;
     lcdm::add_run_command(program, exit_code);
     lcdm::add_infer_command(program, exit_code);
@@ -55,7 +55,6 @@ int main(int argc, char** argv) {
     lcdm::add_check_command(program, exit_code);
     lcdm::add_probe_command(program, exit_code);
     lcdm::add_doctor_command(program, exit_code);
-    lcdm::add_version_command(program, exit_code);
     try {
       program.parse(argc, argv);
     } catch (const CLI::ParseError& error) {

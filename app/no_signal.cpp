@@ -13,8 +13,6 @@ namespace {
 constexpr int kWidth = 640;  // where there was no picture yet
 constexpr int kHeight = 480;
 constexpr int kDim = 3;  // so many times darker than it was
-constexpr int kJpegQuality = 85;
-constexpr std::size_t kJpegHead = 4096;
 
 // Black where `jpeg` is none.
 RgbPicture decode_or_black(std::span<const std::byte> jpeg) {
@@ -62,14 +60,9 @@ std::vector<std::byte> no_signal_jpeg(std::span<const std::byte> last, std::int6
   RgbPicture picture = decode_or_black(last);
   dim(picture);
   write_across(picture, no_signal_text(age_ns));
-  const FrameFormat format{PixelFormat::kRgb24, picture.width, picture.height, picture.width * 3};
-  std::vector<std::byte> jpeg(picture.pixels.size() + kJpegHead);
-  JpegEncoder encoder;
-  if (!encoder.prepare(format, kJpegQuality)) return {};
-  const Result<std::size_t> bytes =
-      encoder.encode({format, {}, picture.pixels.data(), picture.pixels.size()}, jpeg);
-  jpeg.resize(bytes ? *bytes : 0);
-  return jpeg;
+  JpegWriter writer(kStreamedQuality);
+  const Result<std::span<const std::byte>> jpeg = writer.encode(picture.view());
+  return jpeg ? std::vector<std::byte>(jpeg->begin(), jpeg->end()) : std::vector<std::byte>();
 }
 
 }  // namespace lcdm

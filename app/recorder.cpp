@@ -26,16 +26,8 @@ constexpr std::size_t kChunkMessages = 256;
 constexpr std::size_t kChunks = 4096;  // of a segment: over an hour
 constexpr std::size_t kMessageHead = 256;
 constexpr std::size_t kCalibrationBytes = 2048;  // its message, with room to spare
-constexpr std::size_t kJpegTables = 65536;
-constexpr int kJpegQuality = 92;  // field data is for training: artefacts would be learned
 constexpr std::uint16_t kImageChannel = 1;
 constexpr std::uint16_t kCalibrationChannel = 2;
-
-// Room for a JPEG: one larger than its pixels is not worth keeping; small ones have their tables.
-std::size_t jpeg_capacity(const FrameFormat& format) {
-  return static_cast<std::size_t>(format.width) * static_cast<std::size_t>(format.height) * 2 +
-         kJpegTables;
-}
 
 std::size_t frame_capacity(const FrameFormat& format) {
   if (format.pixel == PixelFormat::kMjpeg) return jpeg_capacity(format);
@@ -173,7 +165,7 @@ Status Recorder::prepare_slots(const FrameFormat& format) {
   jpeg_.resize(jpeg_capacity(format));
   message_.resize(jpeg_.size() + kMessageHead);
   if (format.pixel == PixelFormat::kMjpeg) return Status::ok();
-  return encoder_.prepare(format, kJpegQuality);
+  return encoder_.prepare(format, kKeptQuality);
 }
 
 Status Recorder::open_segment() {

@@ -17,6 +17,11 @@ void RgbPicture::resize(int new_width, int new_height) {
   pixels.resize(static_cast<std::size_t>(width) * static_cast<std::size_t>(height) * kChannels);
 }
 
+FrameView RgbPicture::view() const {
+  const FrameFormat format{PixelFormat::kRgb24, width, height, width * static_cast<int>(kChannels)};
+  return {format, {}, pixels.data(), pixels.size()};
+}
+
 void to_rgb(const FrameView& frame, RgbPicture& out) {
   out.resize(frame.format.width, frame.format.height);
   const std::size_t row = static_cast<std::size_t>(out.width) * kChannels;

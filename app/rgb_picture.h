@@ -16,6 +16,7 @@ struct RgbPicture {
   std::vector<std::uint8_t> pixels;  // [height * width * 3]
 
   void resize(int new_width, int new_height);
+  FrameView view() const;
 };
 
 // Any format but kMjpeg. `frame` must hold its whole picture.

@@ -24,12 +24,6 @@ namespace {
 constexpr std::chrono::seconds kTrial{3};
 constexpr std::uint64_t kDefaultSeed = 1;
 
-// What stands behind `scheme:`, when the text begins with that.
-std::optional<std::string> rest_of(const std::string& uri, std::string_view scheme) {
-  if (uri.rfind(scheme, 0) != 0) return std::nullopt;
-  return uri.substr(scheme.size());
-}
-
 // The seed behind `scene:`; empty when it is no number.
 std::optional<std::uint64_t> parse_seed(const std::string& text) {
   if (text.empty()) return kDefaultSeed;
@@ -73,32 +67,37 @@ Result<OpenedSource> open_libcamera(const std::string& id) {
 
 }  // namespace
 
+std::optional<std::string> after_scheme(const std::string& uri, std::string_view scheme) {
+  if (uri.rfind(scheme, 0) != 0) return std::nullopt;
+  return uri.substr(scheme.size());
+}
+
 bool is_source_uri(const std::string& text) {
   for (const char* scheme : {"file:", "mcap:", "v4l2:", "libcamera:"}) {
-    if (const auto rest = rest_of(text, scheme)) return !rest->empty();
+    if (const auto rest = after_scheme(text, scheme)) return !rest->empty();
   }
-  const auto seed = rest_of(text, "scene:");
+  const auto seed = after_scheme(text, "scene:");
   return seed && parse_seed(*seed).has_value();
 }
 
 Result<OpenedSource> open_source(const std::string& uri, Playback playback) {
   const bool live = playback == Playback::kLive;
-  if (const auto path = rest_of(uri, "file:")) {
+  if (const auto path = after_scheme(uri, "file:")) {
     const auto how = live ? ReplayCamera::Playback::kLive : ReplayCamera::Playback::kOffline;
     return OpenedSource{std::make_unique<ReplayCamera>(*path, how), false, live};
   }
-  if (const auto path = rest_of(uri, "mcap:")) {
+  if (const auto path = after_scheme(uri, "mcap:")) {
     const auto how = live ? McapCamera::Playback::kLive : McapCamera::Playback::kOffline;
     return OpenedSource{std::make_unique<McapCamera>(*path, how), false, live};
   }
-  if (const auto device = rest_of(uri, "v4l2:")) {
+  if (const auto device = after_scheme(uri, "v4l2:")) {
     return OpenedSource{std::make_unique<V4l2Camera>(*device), true, true,
                         std::make_unique<UsbPort>()};
   }
-  if (const auto id = rest_of(uri, "libcamera:")) {
+  if (const auto id = after_scheme(uri, "libcamera:")) {
     return open_libcamera(*id);
   }
-  if (const auto text = rest_of(uri, "scene:")) {
+  if (const auto text = after_scheme(uri, "scene:")) {
     if (const auto seed = parse_seed(*text)) {
       return OpenedSource{std::make_unique<SceneCamera>(*seed), true, true};
     }

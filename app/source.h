@@ -2,7 +2,9 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
+#include <string_view>
 
 #include "firmware/base/status.h"
 #include "firmware/pipeline/camera.h"
@@ -29,6 +31,9 @@ constexpr const char* kSourceForms =
 // Whether the text has the form of a source: a scheme we know and what it needs. Does not look
 // whether anything is there.
 bool is_source_uri(const std::string& text);
+
+// What stands behind `scheme` ("v4l2:"), where the text begins with that.
+std::optional<std::string> after_scheme(const std::string& uri, std::string_view scheme);
 
 // kUsage: not the form of a source, which the configuration's always has.
 Result<OpenedSource> open_source(const std::string& uri, Playback playback);

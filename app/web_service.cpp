@@ -187,7 +187,7 @@ void stream_live(const Parts& parts, HttpExchange& exchange) {
                            {"height", product.camera.height}};
     }
     const std::string json = text_of(status);
-    const std::size_t jpeg = came ? product.jpeg_bytes : 0;
+    const std::size_t jpeg = came ? product.picture_bytes : 0;
     const std::size_t depth = came ? product.bytes.size() - jpeg : 0;
     open = exchange.write(live_head(json.size(), jpeg, depth)) && exchange.write_text(json) &&
            (!came || exchange.write(product.bytes));

@@ -16,6 +16,13 @@ namespace lcdm {
 
 // ---- JPEG (ITU-T T.81, baseline) ----------------------------------------------------------------
 
+// Of pictures that are streamed, and of those that are kept: artefacts would be learned.
+constexpr int kStreamedQuality = 85;
+constexpr int kKeptQuality = 92;
+
+// Room for the JPEG of a picture, though it be noise and as small as the tables in front.
+std::size_t jpeg_capacity(const FrameFormat& format);
+
 // For one thread at a time. prepare() allocates what every frame then uses; encode() allocates
 // nothing.
 class JpegEncoder {
@@ -28,13 +35,28 @@ class JpegEncoder {
   // For frames of `format` (any but kMjpeg). `quality` from 1 to 100.
   Status prepare(const FrameFormat& format, int quality);
   // Writes one JPEG to the front of `out` and returns its length. kInvalidInput: the frame has
-  // another format or lacks bytes. kOutOfMemory: `out` is too small (it needs a byte more than the
-  // result; a JPEG of noise can be a little larger than its pixels).
+  // another format or lacks bytes. kOutOfMemory: `out` is too small: `jpeg_capacity` is enough.
   Result<std::size_t> encode(const FrameView& frame, std::span<std::byte> out) noexcept;
 
  private:
   struct State;
   std::unique_ptr<State> state_;
+};
+
+// A JpegEncoder that prepares itself for whatever format comes, with memory of its own. For one
+// thread at a time.
+class JpegWriter {
+ public:
+  explicit JpegWriter(int quality) : quality_(quality) {}
+
+  // The bytes are valid until the next call.
+  Result<std::span<const std::byte>> encode(const FrameView& frame);
+
+ private:
+  const int quality_;
+  JpegEncoder encoder_;
+  FrameFormat format_;  // that it is prepared for
+  std::vector<std::byte> bytes_;
 };
 
 // For one thread at a time. prepare() allocates what every frame then uses; decode() allocates

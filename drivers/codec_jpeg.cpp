@@ -288,6 +288,24 @@ Result<std::size_t> JpegEncoder::encode(const FrameView& frame, std::span<std::b
   return out.size() - s.destination.free_in_buffer;
 }
 
+std::size_t jpeg_capacity(const FrameFormat& format) {
+  constexpr std::size_t kTables = 65536;
+  return static_cast<std::size_t>(format.width) * static_cast<std::size_t>(format.height) * 2 +
+         kTables;
+}
+
+Result<std::span<const std::byte>> JpegWriter::encode(const FrameView& frame) {
+  if (frame.format != format_) {
+    format_ = {};
+    LCDM_RETURN_IF_ERROR(encoder_.prepare(frame.format, quality_));
+    format_ = frame.format;
+    bytes_.resize(jpeg_capacity(format_));
+  }
+  const Result<std::size_t> bytes = encoder_.encode(frame, bytes_);
+  if (!bytes) return bytes.status();
+  return std::span<const std::byte>(bytes_).first(*bytes);
+}
+
 // ---- decoder ------------------------------------------------------------------------------------
 
 struct JpegDecoder::State {

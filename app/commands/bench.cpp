@@ -202,12 +202,9 @@ int bench_kernels() {
 
 int bench(const BenchOptions& given) {
   if (given.kernels) return bench_kernels();
-  std::vector<ConfigAssignment> more;
-  if (given.threads > 0) {
-    const std::string threads = std::to_string(given.threads);
-    more.push_back({"model.threads=" + threads, "--threads " + threads});
-  }
-  const Result<Config> config = given.common.load(std::move(more));
+  const std::string threads = given.threads > 0 ? std::to_string(given.threads) : "";
+  const Result<Config> config =
+      given.common.load(Overrides().add("model.threads", "--threads", threads).take());
   if (!config) return report(config.status());
   EngineOptions options = engine_options(*config);
   if (!given.size.empty()) {

@@ -40,17 +40,13 @@ class FrameReader {
  public:
   Status prepare(const FrameFormat& format) {
     format_ = format;
-    return format.pixel == PixelFormat::kMjpeg ? decoder_.prepare(format).status() : Status::ok();
+    return prepare_pixels(&decoder_, format).status();
   }
   Status read(const FrameView& frame, RgbPicture& out) {
     if (frame.format != format_) LCDM_RETURN_IF_ERROR(prepare(frame.format));
-    FrameView pixels = frame;
-    if (frame.format.pixel == PixelFormat::kMjpeg) {
-      const Result<FrameView> decoded = decoder_.decode(frame);
-      if (!decoded) return decoded.status();
-      pixels = *decoded;
-    }
-    to_rgb(pixels, out);
+    const Result<FrameView> pixels = pixels_of(&decoder_, frame);
+    if (!pixels) return pixels.status();
+    to_rgb(*pixels, out);
     return Status::ok();
   }
 
@@ -173,11 +169,8 @@ void announce(const Calibration& calibration, double coverage, const std::string
 
 int calibrate(const CalibrateOptions& options) {
   const StopSignals signals;
-  std::vector<ConfigAssignment> more;
-  if (!options.source.empty()) {
-    more.push_back({"camera.source=" + options.source, "--source " + options.source});
-  }
-  Result<Config> config = options.common.load(std::move(more));
+  Result<Config> config =
+      options.common.load(Overrides().add("camera.source", "--source", options.source).take());
   if (!config) return report(config.status());
   if (const Status found = settle_source(*config); !found) return report(found);
   Result<OpenedSource> source = open_source(config->camera.source, Playback::kOffline);

@@ -15,6 +15,5 @@ void add_inspect_command(CLI::App& program, int& exit_code);
 void add_check_command(CLI::App& program, int& exit_code);
 void add_probe_command(CLI::App& program, int& exit_code);
 void add_doctor_command(CLI::App& program, int& exit_code);
-void add_version_command(CLI::App& program, int& exit_code);
 
 }  // namespace lcdm

@@ -6,6 +6,7 @@
 #include <cstring>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <system_error>
@@ -17,6 +18,7 @@
 #include "app/depth_colour.h"
 #include "app/mjpeg_decoder.h"
 #include "app/report.h"
+#include "app/rgb_picture.h"
 #include "app/source.h"
 #include "drivers/codec.h"
 #include "firmware/base/exit_code.h"
@@ -27,8 +29,6 @@ namespace {
 
 constexpr std::chrono::milliseconds kDequeueTimeout{1000};
 constexpr int kMostTimeouts = 5;
-constexpr int kJpegQuality = 92;
-constexpr std::size_t kJpegHead = 4096;  // a JPEG of noise may be a little larger than its pixels
 
 struct InferOptions {
   CommonOptions common;
@@ -47,14 +47,10 @@ class FrameEngine {
 
   Status run(const FrameView& frame, const CameraModel& camera) {
     if (!engine_ || frame.format != format_) LCDM_RETURN_IF_ERROR(prepare(frame.format, camera));
-    FrameView pixels = frame;
-    if (frame.format.pixel == PixelFormat::kMjpeg) {
-      const Result<FrameView> decoded = decoder_.decode(frame);
-      if (!decoded) return decoded.status();
-      pixels = *decoded;
-    }
+    const Result<FrameView> pixels = pixels_of(&decoder_, frame);
+    if (!pixels) return pixels.status();
     const CameraModel& depth = engine_->depth_camera();
-    return engine_->run(pixels, {depth.width, depth.height, millimetres_.data(), metres_.data()});
+    return engine_->run(*pixels, {depth.width, depth.height, millimetres_.data(), metres_.data()});
   }
 
   // Of the last run.
@@ -65,14 +61,10 @@ class FrameEngine {
 
  private:
   Status prepare(const FrameFormat& format, const CameraModel& camera) {
-    FrameFormat pixels = format;
-    if (format.pixel == PixelFormat::kMjpeg) {
-      const Result<FrameFormat> decoded = decoder_.prepare(format);
-      if (!decoded) return decoded.status();
-      pixels = *decoded;
-    }
+    const Result<FrameFormat> pixels = prepare_pixels(&decoder_, format);
+    if (!pixels) return pixels.status();
     engine_.reset();
-    auto made = Engine::prepare(model_, options_, pixels, camera);
+    auto made = Engine::prepare(model_, options_, *pixels, camera);
     if (!made) return made.status();
     engine_ = std::move(*made);
     format_ = format;
@@ -161,26 +153,17 @@ class Inference {
   // Each picture has colours of its own range.
   Status write_colour(const std::string& path, int width, int height) {
     if (const auto range = range_of(engine_.millimetres())) colours_.set_range(*range);
-    const FrameFormat format{PixelFormat::kRgb24, width, height, width * 3};
-    if (format != jpeg_format_) {
-      LCDM_RETURN_IF_ERROR(jpeg_.prepare(format, kJpegQuality));
-      jpeg_format_ = format;
-    }
-    picture_.resize(engine_.millimetres().size() * 3);
-    colours_.paint(engine_.millimetres(), picture_);
-    encoded_.resize(picture_.size() + kJpegHead);
-    const auto bytes = jpeg_.encode({format, {}, picture_.data(), picture_.size()}, encoded_);
-    if (!bytes) return bytes.status();
-    return write_file(path, std::span(encoded_).first(*bytes));
+    picture_.resize(width, height);
+    colours_.paint(engine_.millimetres(), picture_.pixels);
+    const Result<std::span<const std::byte>> jpeg = jpeg_.encode(picture_.view());
+    return jpeg ? write_file(path, *jpeg) : jpeg.status();
   }
 
   const InferOptions& options_;
   FrameEngine engine_;
   DepthColour colours_;
-  JpegEncoder jpeg_;
-  FrameFormat jpeg_format_;  // that jpeg_ is prepared for
-  std::vector<std::uint8_t> picture_;
-  std::vector<std::byte> encoded_;
+  JpegWriter jpeg_{kKeptQuality};
+  RgbPicture picture_;
   int written_ = 0;
   int broken_ = 0;
 };
@@ -198,9 +181,9 @@ Status make_directory(const std::string& path) {
 
 // The files of a folder of images would be overwritten by their own depth.
 Status check_not_the_source(const InferOptions& options) {
-  constexpr const char* kScheme = "file:";
-  if (options.source.rfind(kScheme, 0) != 0) return Status::ok();
-  std::filesystem::path source = options.source.substr(std::strlen(kScheme));
+  const std::optional<std::string> path = after_scheme(options.source, "file:");
+  if (!path) return Status::ok();
+  std::filesystem::path source = *path;
   std::error_code error;
   if (!std::filesystem::is_directory(source, error)) source = source.parent_path();
   if (source.empty()) source = ".";

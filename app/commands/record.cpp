@@ -30,14 +30,10 @@ struct RecordOptions {
 };
 
 Result<Config> load(const RecordOptions& options) {
-  std::vector<ConfigAssignment> more;
-  if (!options.source.empty()) {
-    more.push_back({"camera.source=" + options.source, "--source " + options.source});
-  }
-  if (!options.output.empty()) {
-    more.push_back({"record.directory=" + options.output, "--output " + options.output});
-  }
-  return options.common.load(std::move(more));
+  return options.common.load(Overrides()
+                                 .add("camera.source", "--source", options.source)
+                                 .add("record.directory", "--output", options.output)
+                                 .take());
 }
 
 // A frame of a file waits for its turn; one of a camera is lost when the disk is too slow. False

@@ -4,7 +4,6 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <vector>
 
 #include "app/commands/commands.h"
 #include "app/common_options.h"
@@ -33,14 +32,11 @@ struct RunOptions {
 };
 
 Result<Config> load(const RunOptions& options) {
-  std::vector<ConfigAssignment> more;
-  const auto add = [&more](const char* key, const char* option, const std::string& value) {
-    if (!value.empty()) more.push_back({key + ("=" + value), option + (" " + value)});
-  };
-  add("camera.source", "--source", options.source);
-  add("http.listen", "--listen", options.listen);
-  add("http.port", "--port", options.port);
-  return options.common.load(std::move(more));
+  return options.common.load(Overrides()
+                                 .add("camera.source", "--source", options.source)
+                                 .add("http.listen", "--listen", options.listen)
+                                 .add("http.port", "--port", options.port)
+                                 .take());
 }
 
 Result<HttpOptions> http_options(const Config& config) {

@@ -20,4 +20,10 @@ class FrameDecoder {
   virtual Result<FrameView> decode(const FrameView& frame) noexcept = 0;
 };
 
+// What stands in front of whatever reads pixels: MJPEG through the decoder, other formats as they
+// are. kUnsupported: MJPEG without a decoder.
+Result<FrameFormat> prepare_pixels(FrameDecoder* decoder, const FrameFormat& format);
+// `frame` has the prepared format.
+Result<FrameView> pixels_of(FrameDecoder* decoder, const FrameView& frame) noexcept;
+
 }  // namespace lcdm

@@ -52,7 +52,7 @@ Pipeline::EngineView view_of(const Engine& engine) {
   return {engine.stats(), engine.depth_camera(), engine.scale()};
 }
 
-std::size_t pixels_of(const CameraModel& camera) {
+std::size_t area_of(const CameraModel& camera) {
   return static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
 }
 
@@ -229,20 +229,12 @@ Status Pipeline::prepare_engine(const Source& source) {
   small_engine_.reset();
   prepared_format_ = source.format;
   prepared_model_ = source.model;
-  FrameFormat pixels = source.format;
-  if (pixels.pixel == PixelFormat::kMjpeg) {
-    if (decoder_ == nullptr) {
-      return Status::error(StatusCode::kUnsupported, "%s delivers MJPEG, and there is no decoder",
-                           source.info.uri.c_str());
-    }
-    const Result<FrameFormat> decoded = decoder_->prepare(source.format);
-    if (!decoded) return decoded.status();
-    pixels = *decoded;
-  }
-  LCDM_RETURN_IF_ERROR(make_engines(pixels, source.model));
+  const Result<FrameFormat> pixels = prepare_pixels(decoder_, source.format);
+  if (!pixels) return pixels.status();
+  LCDM_RETURN_IF_ERROR(make_engines(*pixels, source.model));
   const EngineView full = view_of(*engine_);
   const EngineView small = small_engine_ ? view_of(*small_engine_) : full;
-  millimetres_.assign(std::max(pixels_of(full.depth_camera), pixels_of(small.depth_camera)), 0);
+  millimetres_.assign(std::max(area_of(full.depth_camera), area_of(small.depth_camera)), 0);
   const std::lock_guard lock(mutex_);
   view_ = full;
   small_view_ = small;
@@ -271,21 +263,17 @@ Status Pipeline::infer(const FrameView& captured) {
   const bool small = takes_small_network(effort_) && small_engine_;
   Engine& engine = small ? *small_engine_ : *engine_;
   const std::int64_t begin_ns = os::monotonic_ns();
-  FrameView pixels = captured;
-  if (captured.format.pixel == PixelFormat::kMjpeg) {
-    const Result<FrameView> decoded = decoder_->decode(captured);
-    if (!decoded) return decoded.status();
-    pixels = *decoded;
-  }
+  const Result<FrameView> pixels = pixels_of(decoder_, captured);
+  if (!pixels) return pixels.status();
   DepthFrame frame;
   frame.meta = captured.meta;
   frame.camera = engine.depth_camera();
   frame.scale = engine.scale();
   frame.millimetres = millimetres_.data();
   frame.colour = captured;
-  frame.pixels = pixels;
+  frame.pixels = *pixels;
   LCDM_RETURN_IF_ERROR(
-      engine.run(pixels, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
+      engine.run(*pixels, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
   frame.done_ns = os::monotonic_ns();
   frame.inference_ns = frame.done_ns - begin_ns;
   rest_until_ns_ = frame.done_ns + frame.inference_ns;

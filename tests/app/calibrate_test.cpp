@@ -121,6 +121,7 @@ TEST(BoardCalibrator, SendsTheBoardWhereItWasNotYet) {
 TEST(BoardCalibrator, RefusesWhatCannotBeReliedOnAndSaysTheCure) {
   const auto refusal = [](const std::vector<Pose>& poses) {
     const Result<Calibration> found = shown(poses).solve();
+    EXPECT_EQ(found.code(), StatusCode::kUnavailable);
     return std::string(found ? "accepted" : found.status().text());
   };
   std::vector<Pose> few = test::good_poses();

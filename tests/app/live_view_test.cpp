@@ -111,8 +111,8 @@ TEST(LiveView, GivesDepthItselfAsPng) {
 TEST(LiveView, GivesColourAndDepthOfOneFrameToThePage) {
   LiveView view("test:");
   const ProductCopy copy = make(view, Product::kLive);
-  ASSERT_EQ(copy.bytes.size() - copy.jpeg_bytes, 2U * kDepthWidth * kDepthHeight);
-  EXPECT_EQ(decode(std::span(copy.bytes).first(copy.jpeg_bytes)).cols, kWidth);
+  ASSERT_EQ(copy.bytes.size() - copy.picture_bytes, 2U * kDepthWidth * kDepthHeight);
+  EXPECT_EQ(decode(std::span(copy.bytes).first(copy.picture_bytes)).cols, kWidth);
   std::uint16_t last = 0;
   std::memcpy(&last, copy.bytes.data() + copy.bytes.size() - 2, 2);
   EXPECT_EQ(last, SomeFrame(copy.meta.sequence).depth_at(31, 31));

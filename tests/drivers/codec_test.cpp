@@ -163,6 +163,21 @@ TEST(JpegEncoder, HeedsTheStrideOfItsFrames) {
             encoded(view_of(part.clone(), PixelFormat::kRgb24)));
 }
 
+// Nothing is larger than noise.
+TEST(JpegWriter, HasRoomForNoiseOfEverySize) {
+  JpegWriter writer(kKeptQuality);
+  for (const auto& [width, height] : {std::pair{1, 1}, {17, 9}, {640, 480}}) {
+    cv::Mat noise(height, width, CV_8UC3);
+    cv::randu(noise, 0, 256);
+    const auto jpeg = writer.encode(view_of(noise, PixelFormat::kRgb24));
+    ASSERT_TRUE(jpeg) << width << ": " << jpeg.status().text();
+    cv::Mat yuyv(height, width, CV_8UC2);
+    cv::randu(yuyv, 0, 256);
+    if (width % 2 != 0) continue;
+    EXPECT_TRUE(writer.encode(view_of(yuyv, PixelFormat::kYuyv)));
+  }
+}
+
 TEST(JpegEncoder, SaysWhenTheSpaceIsTooSmallAndGoesOnWorking) {
   const cv::Mat rgb = test_picture(320, 240);
   const FrameView frame = view_of(rgb, PixelFormat::kRgb24);
