@@ -2,12 +2,11 @@
 
 #include <cmath>
 #include <cstdio>
-#include <span>
 #include <variant>
 #include <vector>
 
 #include "app/toml_file.h"
-#include "drivers/codec.h"
+#include "firmware/base/file.h"
 
 namespace lcdm {
 namespace {
@@ -157,7 +156,7 @@ Status write_calibration(const std::string& file, const Calibration& calibration
     }
     text += field.key + (" = " + text_of(field)) + "\n";
   }
-  return replace_file(file, std::as_bytes(std::span(text)));
+  return replace_file(file, text);
 }
 
 Result<CameraModel> model_for(const Calibration& calibration, int width, int height) {
