@@ -48,7 +48,6 @@ class CalibratedCamera final : public Camera {
     return camera_->dequeue(timeout);
   }
   Status requeue(int index) override { return camera_->requeue(index); }
-  Result<int> export_buffer(int index) const override { return camera_->export_buffer(index); }
   void stop() override { camera_->stop(); }
 
  private:

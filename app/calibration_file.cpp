@@ -2,12 +2,11 @@
 
 #include <cmath>
 #include <cstdio>
-#include <span>
 #include <variant>
 #include <vector>
 
 #include "app/toml_file.h"
-#include "drivers/codec.h"
+#include "firmware/base/file.h"
 
 namespace lcdm {
 namespace {
@@ -56,7 +55,7 @@ std::string name_of(const Field& field) { return name_of(field.section, field.ke
 
 Status read_text(const Field& field, const std::string& place, const toml::value& value,
                  std::string& out) {
-  if (!value.is_string()) return fault(place, name_of(field) + " must be a text in quotes");
+  if (!value.is_string()) return config_error(place, name_of(field) + " must be a text in quotes");
   out = value.as_string().str;
   return Status::ok();
 }
@@ -69,8 +68,8 @@ Status read_number(const Field& field, const std::string& place, const toml::val
   if (!(number >= field.min && number <= field.max)) {
     char range[64];
     std::snprintf(range, sizeof(range), "%g to %g", field.min, field.max);
-    return fault(place,
-                 name_of(field) + " must be a " + (whole ? "whole " : "") + "number from " + range);
+    return config_error(
+        place, name_of(field) + " must be a " + (whole ? "whole " : "") + "number from " + range);
   }
   if (auto* const* place_of_int = std::get_if<int*>(&field.place)) {
     **place_of_int = static_cast<int>(number);
@@ -94,8 +93,8 @@ Status read_table(const std::string& file, const std::string& section, const tom
     std::size_t i = 0;
     while (i < fields.size() && (fields[i].section != section || fields[i].key != key)) ++i;
     if (i == fields.size()) {
-      return fault(place,
-                   "no key " + name_of(section, key) + " belongs into a calibration: remove it");
+      return config_error(
+          place, "no key " + name_of(section, key) + " belongs into a calibration: remove it");
     }
     auto* const* text = std::get_if<std::string*>(&fields[i].place);
     LCDM_RETURN_IF_ERROR(text != nullptr ? read_text(fields[i], place, value, **text)
@@ -137,7 +136,8 @@ Result<Calibration> read_calibration(const std::string& file) {
   }));
   for (std::size_t i = 0; i < fields.size(); ++i) {
     if (seen[i]) continue;
-    return fault(file, name_of(fields[i]) + " is missing: make the file with lcdm calibrate");
+    return config_error(file,
+                        name_of(fields[i]) + " is missing: make the file with lcdm calibrate");
   }
   calibration.model.calibrated = true;
   return calibration;
@@ -157,7 +157,7 @@ Status write_calibration(const std::string& file, const Calibration& calibration
     }
     text += field.key + (" = " + text_of(field)) + "\n";
   }
-  return replace_file(file, std::as_bytes(std::span(text)));
+  return replace_file(file, text);
 }
 
 Result<CameraModel> model_for(const Calibration& calibration, int width, int height) {

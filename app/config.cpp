@@ -63,17 +63,18 @@ Status assign(const ConfigField& field, const std::string& place, const std::str
   if (auto* const* string = std::get_if<std::string*>(&field.place)) {
     if (std::any_of(text.begin(), text.end(),
                     [](char c) { return static_cast<unsigned char>(c) < 0x20; })) {
-      return fault(place, name_of(field) + " holds a control character: take it out");
+      return config_error(place, name_of(field) + " holds a control character: take it out");
     }
     const char* objection = field.objection == nullptr ? nullptr : field.objection(text);
     if (objection != nullptr)
-      return fault(place, name_of(field) + " = \"" + text + "\" " + objection);
+      return config_error(place, name_of(field) + " = \"" + text + "\" " + objection);
     **string = text;
     return Status::ok();
   }
   if (auto* const* flag = std::get_if<bool*>(&field.place)) {
     if (text != "true" && text != "false") {
-      return fault(place, name_of(field) + " = " + text + " is not allowed: use true or false");
+      return config_error(place,
+                          name_of(field) + " = " + text + " is not allowed: use true or false");
     }
     **flag = text == "true";
     return Status::ok();
@@ -85,9 +86,9 @@ Status assign(const ConfigField& field, const std::string& place, const std::str
   const bool is_number = parsed.ec == std::errc() && parsed.ptr == end && std::isfinite(number) &&
                          (!whole || number == std::floor(number));
   if (!is_number || number < field.min || number > field.max) {
-    return fault(place, name_of(field) + " = " + text + " is not allowed: use a " +
-                            (whole ? "whole number" : "number") + " from " + plain(field.min) +
-                            " to " + plain(field.max));
+    return config_error(place, name_of(field) + " = " + text + " is not allowed: use a " +
+                                   (whole ? "whole number" : "number") + " from " +
+                                   plain(field.min) + " to " + plain(field.max));
   }
   if (auto* const* integer = std::get_if<int*>(&field.place)) **integer = static_cast<int>(number);
   if (auto* const* real = std::get_if<double*>(&field.place)) **real = number;
@@ -120,9 +121,9 @@ Result<const ConfigField*> find(const std::vector<ConfigField>& fields, const st
   }
   const std::string keys = known_keys(fields, section);
   if (keys.empty()) {
-    return fault(place, "no section [" + section + "]: there are " + known_sections(fields));
+    return config_error(place, "no section [" + section + "]: there are " + known_sections(fields));
   }
-  return fault(place, "no key " + section + "." + key + ": [" + section + "] has " + keys);
+  return config_error(place, "no key " + section + "." + key + ": [" + section + "] has " + keys);
 }
 
 // The value as text for assign(); empty when its type does not fit the field.
@@ -149,8 +150,9 @@ const char* kind_of(const ConfigField& field) {
 Status read_section(const std::vector<ConfigField>& fields, const std::string& file,
                     const std::string& section, const toml::value& table) {
   if (!table.is_table()) {
-    return fault(place_of(file, table.location()),
-                 "key " + section + " outside a section: there are " + known_sections(fields));
+    return config_error(
+        place_of(file, table.location()),
+        "key " + section + " outside a section: there are " + known_sections(fields));
   }
   if (known_keys(fields, section).empty()) {
     return find(fields, place_of(file, table.location()), section, "").status();
@@ -161,7 +163,7 @@ Status read_section(const std::vector<ConfigField>& fields, const std::string& f
     if (!field) return field.status();
     const std::optional<std::string> text = text_of(**field, value);
     if (!text) {
-      return fault(place, name_of(**field) + " must be " + kind_of(**field));
+      return config_error(place, name_of(**field) + " must be " + kind_of(**field));
     }
     LCDM_RETURN_IF_ERROR(assign(**field, place, *text));
   }
@@ -195,8 +197,8 @@ Status read_variable(const std::vector<ConfigField>& fields, const std::string& 
   }
   for (const ConfigField& field : fields) {
     if (name.rfind("LCDM_" + upper(field.section) + "_", 0) == 0) {
-      return fault(name, std::string("no such key: [") + field.section + "] has " +
-                             known_keys(fields, field.section));
+      return config_error(name, std::string("no such key: [") + field.section + "] has " +
+                                    known_keys(fields, field.section));
     }
   }
   return Status::ok();
@@ -207,7 +209,7 @@ Status read_assignment(const std::vector<ConfigField>& fields, const ConfigAssig
   const std::size_t equals = assignment.find('=');
   const std::size_t dot = assignment.find('.');
   if (equals == std::string::npos || dot > equals) {
-    return fault(place, "write it as section.key=value");
+    return config_error(place, "write it as section.key=value");
   }
   const auto field =
       find(fields, place, assignment.substr(0, dot), assignment.substr(dot + 1, equals - dot - 1));
@@ -218,35 +220,23 @@ Status read_assignment(const std::vector<ConfigField>& fields, const ConfigAssig
 Status check_whole(const Config& config) {
   const int hertz = config.camera.power_line_hz;
   if (hertz != 0 && hertz != 50 && hertz != 60) {
-    return fault("camera.power_line_hz", "give 50 or 60, or 0 for automatic");
+    return config_error("camera.power_line_hz", "give 50 or 60, or 0 for automatic");
   }
   const bool one_missing = (config.model.width == 0) != (config.model.height == 0);
   const bool too_small = config.model.width == 32 || config.model.height == 32;
   if (one_missing || too_small || config.model.width % 32 != 0 || config.model.height % 32 != 0) {
-    return fault("model.width, model.height",
-                 "give both as multiples of 32 from 64, or both as 0 to follow the camera's shape");
+    return config_error(
+        "model.width, model.height",
+        "give both as multiples of 32 from 64, or both as 0 to follow the camera's shape");
   }
   if (config.http.port == 0 && listen_addresses(config.http.listen).size() > 1) {
-    return fault("http.port", "0 takes a free port of one address; http.listen names several");
+    return config_error("http.port",
+                        "0 takes a free port of one address; http.listen names several");
   }
   return Status::ok();
 }
 
 }  // namespace
-
-bool Config::operator==(const Config& other) const {
-  Config left = *this;
-  Config right = other;
-  const auto ours = config_fields(left);
-  const auto theirs = config_fields(right);
-  for (std::size_t i = 0; i < ours.size(); ++i) {
-    const bool equal = std::visit(
-        [&](auto* place) { return *place == *std::get<decltype(place)>(theirs[i].place); },
-        ours[i].place);
-    if (!equal) return false;
-  }
-  return true;
-}
 
 std::vector<ConfigField> config_fields(Config& c) {
   return {

@@ -54,8 +54,6 @@ struct Config {
     std::string button;
     std::string heartbeat;
   } gpio;
-
-  bool operator==(const Config&) const;
 };
 
 // One key, bound to its place in a Config.

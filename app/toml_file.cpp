@@ -84,17 +84,17 @@ int line_too_long(const std::string& text) {
 
 // What the parser below had better not see.
 Status check_limits(const std::string& file, const std::string& text) {
-  if (nests_too_deep(text)) return fault(file, "brackets lie too deep in each other");
+  if (nests_too_deep(text)) return config_error(file, "brackets lie too deep in each other");
   if (const int line = line_too_long(text); line > 0) {
-    return fault(file + ":" + std::to_string(line),
-                 "longer than " + std::to_string(kLongestLine) + " bytes: break the line");
+    return config_error(file + ":" + std::to_string(line),
+                        "longer than " + std::to_string(kLongestLine) + " bytes: break the line");
   }
   return Status::ok();
 }
 
 }  // namespace
 
-Status fault(const std::string& place, const std::string& text) {
+Status config_error(const std::string& place, const std::string& text) {
   return Status::error(StatusCode::kInvalidInput, "%s: %s", place.c_str(), text.c_str());
 }
 
@@ -107,10 +107,10 @@ Status read_toml(const std::string& file, const std::string& what,
   std::error_code error;
   const std::uintmax_t bytes = std::filesystem::file_size(file, error);
   if (error) {
-    return fault(file,
-                 "cannot read the " + what + " (" + error.message() + "): give an existing file");
+    return config_error(
+        file, "cannot read the " + what + " (" + error.message() + "): give an existing file");
   }
-  if (bytes > kMaxFileBytes) return fault(file, "larger than 256 KiB: not a " + what);
+  if (bytes > kMaxFileBytes) return config_error(file, "larger than 256 KiB: not a " + what);
   try {
     std::ifstream stream(file, std::ios::binary);
     const std::string text{std::istreambuf_iterator<char>(stream), {}};
@@ -119,7 +119,7 @@ Status read_toml(const std::string& file, const std::string& what,
     stream.seekg(0);
     return use(toml::parse(stream, file));
   } catch (const toml::exception& syntax) {
-    return fault(place_of(file, syntax.location()), first_line(syntax.what()));
+    return config_error(place_of(file, syntax.location()), first_line(syntax.what()));
   } catch (const std::exception& other) {  // the disk, or no memory: it may pass
     return Status::error(StatusCode::kIoError, "%s: %s", file.c_str(),
                          first_line(other.what()).c_str());

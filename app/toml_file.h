@@ -10,7 +10,7 @@
 namespace lcdm {
 
 // kInvalidInput: "place: text".
-Status fault(const std::string& place, const std::string& text);
+Status config_error(const std::string& place, const std::string& text);
 
 // file:line:column
 std::string place_of(const std::string& file, const toml::source_location& location);

@@ -115,10 +115,4 @@ Status write_rgb_png(const std::string& path, std::span<const std::uint8_t> rgb,
 Status write_float_tiff(const std::string& path, std::span<const float> values, int width,
                         int height, std::span<const ImageText> texts = {});
 
-// The whole of `bytes` as a file; on error none is left. kIoError: names the path.
-Status write_file(const std::string& path, std::span<const std::byte> bytes);
-// The same, all or nothing, through a power cut too. What is planted at the name that it has
-// meanwhile (path.new) is not followed.
-Status replace_file(const std::string& path, std::span<const std::byte> bytes);
-
 }  // namespace lcdm

@@ -5,15 +5,11 @@
 #include <cerrno>
 #include <csetjmp>
 #include <cstdio>
-#include <fcntl.h>
-#include <filesystem>
 #include <new>
 #include <png.h>
-#include <system_error>
-#include <unistd.h>
 
 #include "drivers/codec.h"
-#include "firmware/base/os.h"
+#include "firmware/base/file.h"
 
 namespace lcdm {
 namespace {
@@ -282,37 +278,6 @@ Status write_float_tiff(const std::string& path, std::span<const float> values, 
   file.tag(339, kShort, 1, 3);  // IEEE floating point
   file.u32(0);                  // no further directory
   return write_file(path, file.bytes);
-}
-
-Status write_file(const std::string& path, std::span<const std::byte> bytes) {
-  File file(std::fopen(path.c_str(), "wbe"), &std::fclose);
-  if (file == nullptr) return Status::system(errno, "%s: cannot write", path.c_str());
-  const bool written = std::fwrite(bytes.data(), 1, bytes.size(), file.get()) == bytes.size();
-  const int write_errno = errno;
-  const bool closed = std::fclose(file.release()) == 0;
-  if (written && closed) return Status::ok();
-  const int fault = written ? errno : write_errno;
-  std::error_code ignored;
-  if (std::filesystem::is_regular_file(path, ignored)) std::remove(path.c_str());
-  return Status::system(fault, "%s: cannot write", path.c_str());
-}
-
-Status replace_file(const std::string& path, std::span<const std::byte> bytes) {
-  const std::string unfinished = path + ".new";
-  std::remove(unfinished.c_str());
-  const int descriptor = open(unfinished.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
-  File file(descriptor < 0 ? nullptr : fdopen(descriptor, "wb"), &std::fclose);
-  if (file == nullptr) return Status::system(errno, "%s: cannot write", unfinished.c_str());
-  const bool written = std::fwrite(bytes.data(), 1, bytes.size(), file.get()) == bytes.size() &&
-                       std::fflush(file.get()) == 0 && fsync(descriptor) == 0 &&
-                       std::rename(unfinished.c_str(), path.c_str()) == 0;
-  const int fault = errno;
-  if (written) {
-    os::sync_folder(std::filesystem::path(path).parent_path().c_str());
-    return Status::ok();
-  }
-  std::remove(unfinished.c_str());
-  return Status::system(fault, "%s: cannot write", path.c_str());
 }
 
 }  // namespace lcdm

@@ -27,7 +27,6 @@ class V4l2Camera final : public Camera {
   Status start() override;
   Result<CapturedFrame> dequeue(std::chrono::milliseconds timeout) override;
   Status requeue(int index) override { return queue_.enqueue(index); }
-  Result<int> export_buffer(int index) const override { return queue_.export_buffer(index); }
   void stop() override { queue_.stop(); }
 
  private:

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <filesystem>
-#include <span>
 
-#include "drivers/codec.h"
+#include "firmware/base/file.h"
 #include "model/checkpoint.h"
 #include "model/dataset_files.h"
 #include "model/evaluation.h"
@@ -56,7 +56,7 @@ Status claim(const fs::path& folder, const std::string& recipe) {
   if (error) return Status::system(error.value(), "cannot make the folder %s", folder.c_str());
   const fs::path file = folder / "recipe.txt";
   if (!fs::exists(folder / "checkpoint.safetensors")) {
-    return write_file(file.string(), std::as_bytes(std::span(recipe)));
+    return write_file(file.string(), recipe);
   }
   const Result<std::string> begun = dataset::read_bytes(file, kMostRecipeBytes);
   if (begun && *begun == recipe) return Status::ok();
@@ -106,17 +106,14 @@ Status measure_row(const AblationRow& row, int seed, double share, const Data& d
 }
 
 Status write_csv(const fs::path& path, const std::vector<Score>& scores) {
-  std::FILE* file = std::fopen(path.c_str(), "w");
-  if (file == nullptr) return Status::system(errno, "cannot write %s", path.c_str());
-  std::fprintf(file, "table,row,steps,seed,set,abs_rel,d1\n");
+  std::string text = "table,row,steps,seed,set,abs_rel,d1\n";
   for (const Score& s : scores) {
-    std::fprintf(file, "%s,%s,%d,%d,%s,%.5f,%.5f\n", s.table.c_str(), s.row.c_str(), s.steps,
-                 s.seed, s.set.c_str(), s.metrics.abs_rel, s.metrics.delta1);
+    char figures[64];
+    std::snprintf(figures, sizeof(figures), "%.5f,%.5f\n", s.metrics.abs_rel, s.metrics.delta1);
+    text += s.table + "," + s.row + "," + std::to_string(s.steps) + "," + std::to_string(s.seed) +
+            "," + s.set + "," + figures;
   }
-  const bool failed = std::ferror(file) != 0;
-  const bool closed = std::fclose(file) == 0;
-  if (closed && !failed) return Status::ok();
-  return Status::system(closed ? EIO : errno, "cannot write %s", path.c_str());
+  return replace_file(path.string(), text);
 }
 
 // "0.213 ± 0.004" of the seeds' values; without a spread where there is one seed.

@@ -233,7 +233,6 @@ Result<std::shared_ptr<const Frames>> open_kitti(const CatalogueEntry& entry,
 Make3dOptions make3d_options(Purpose purpose) {
   Make3dOptions options;
   options.max_width = width_for(purpose);
-  options.central = true;
   return options;
 }
 

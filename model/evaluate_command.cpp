@@ -2,6 +2,7 @@
 #include <filesystem>
 #include <opencv2/imgcodecs.hpp>
 
+#include "firmware/base/file.h"
 #include "model/catalogue.h"
 #include "model/checkpoint.h"
 #include "model/commands.h"
@@ -35,44 +36,36 @@ struct Candidate {
   Estimator estimator;
 };
 
-// One row per frame, candidate and set.
+// One row per frame, candidate and set; without a path nothing is kept.
 class FrameTable {
  public:
-  ~FrameTable() { static_cast<void>(close()); }
-  FrameTable() = default;
-  FrameTable(const FrameTable&) = delete;
-  FrameTable& operator=(const FrameTable&) = delete;
+  explicit FrameTable(std::string path) : path_(std::move(path)) {}
 
-  Status open(const std::string& path) {
-    path_ = path;
-    file_ = std::fopen(path.c_str(), "w");
-    if (file_ == nullptr) return Status::system(errno, "--frames %s: cannot write", path.c_str());
-    std::fprintf(file_, "set,estimate,frame,abs_rel,sq_rel,rmse,rmse_log,d1,d2,d3\n");
-    return Status::ok();
-  }
   void add(const std::string& set, const std::string& estimate, const SetResult& result) {
-    if (file_ == nullptr) return;
     for (const FrameResult& frame : result.frames) {
       const Metrics& m = frame.metrics;
-      std::fprintf(file_, "%s,%s,%s,%.6g,%.6g,%.6g,%.6g,%.6g,%.6g,%.6g\n", set.c_str(),
-                   estimate.c_str(), frame.name.c_str(), m.abs_rel, m.sq_rel, m.rmse, m.rmse_log,
-                   m.delta1, m.delta2, m.delta3);
+      char figures[160];
+      std::snprintf(figures, sizeof(figures), "%.6g,%.6g,%.6g,%.6g,%.6g,%.6g,%.6g\n", m.abs_rel,
+                    m.sq_rel, m.rmse, m.rmse_log, m.delta1, m.delta2, m.delta3);
+      text_ += set + "," + estimate + "," + frame.name + "," + figures;
     }
   }
 
-  // Whether everything was kept.
-  Status close() {
-    if (file_ == nullptr) return Status::ok();
-    const bool failed = std::ferror(file_) != 0;
-    const bool closed = std::fclose(file_) == 0;
-    file_ = nullptr;
-    if (closed && !failed) return Status::ok();
-    return Status::system(closed ? EIO : errno, "--frames %s: cannot write", path_.c_str());
-  }
+  // Before the first row: a path that cannot be written is told now, not after an hour.
+  Status begin() const { return write(""); }
+  Status finish() const { return write(text_); }
 
  private:
+  // Not by replace_file: the path may be /dev/stdout.
+  Status write(std::string_view text) const {
+    if (path_.empty()) return Status::ok();
+    const Status written = write_file(path_, text);
+    if (written) return written;
+    return Status::system(written.sys_errno(), "--frames %s: cannot write", path_.c_str());
+  }
+
   std::string path_;
-  std::FILE* file_ = nullptr;
+  std::string text_ = "set,estimate,frame,abs_rel,sq_rel,rmse,rmse_log,d1,d2,d3\n";
 };
 
 void print_row(const std::string& set, const std::string& name, const SetResult& result,
@@ -159,8 +152,8 @@ Status evaluate_all(const Options& options, const std::vector<Candidate>& candid
       options.test ? load_test_data(options.data) : load_training_data(options.data);
   if (!data) return data.status();
   LCDM_RETURN_IF_ERROR(require_frames(options, *data));
-  FrameTable table;
-  if (!options.frames.empty()) LCDM_RETURN_IF_ERROR(table.open(options.frames));
+  FrameTable table(options.frames);
+  LCDM_RETURN_IF_ERROR(table.begin());
   std::printf(
       "| set | estimate | frames | AbsRel | SqRel | RMSE | RMSElog | d1 | d2 | d3 | AbsRel minus "
       "the "
@@ -171,7 +164,7 @@ Status evaluate_all(const Options& options, const std::vector<Candidate>& candid
       evaluate_pack(options, pack, data->protocols[i], candidates, table);
     }
   }
-  return table.close();
+  return table.finish();
 }
 
 // The device's engine at each precision; says in the end how far its depth was from `exact`.

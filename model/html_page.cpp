@@ -1,11 +1,10 @@
 #include "model/html_page.h"
 
 #include <algorithm>
-#include <cerrno>
 #include <cstdint>
-#include <cstdio>
 #include <opencv2/imgcodecs.hpp>
 
+#include "firmware/base/file.h"
 #include "model/html_text.h"
 
 namespace lcdm::model {
@@ -102,17 +101,6 @@ std::string image(const Picture& picture) {
          base64(bytes) + "\"/>\n";
 }
 
-bool write_text(const std::string& path, const std::string& text) {
-  std::FILE* out = std::fopen(path.c_str(), "wb");
-  if (out == nullptr) return false;
-  bool good = std::fwrite(text.data(), 1, text.size(), out) == text.size();
-  good = std::fflush(out) == 0 && good;
-  const int write_error = errno;
-  const bool closed = std::fclose(out) == 0;
-  if (!good) errno = write_error;
-  return good && closed;
-}
-
 }  // namespace
 
 HtmlPage::HtmlPage(const std::string& title) : title_(escaped(title)) {}
@@ -170,17 +158,6 @@ std::string HtmlPage::html() const {
          "</h1>\n" + body_ + "</body>\n</html>\n";
 }
 
-Status HtmlPage::write(const std::string& path) const {
-  const std::string partial = path + ".partial";
-  if (write_text(partial, html()) && std::rename(partial.c_str(), path.c_str()) == 0) {
-    return Status::ok();
-  }
-  const int error = errno;
-  std::remove(partial.c_str());
-  return Status::system(error,
-                        "%s could not be written; free space or choose another folder, the file "
-                        "that was there is unharmed",
-                        path.c_str());
-}
+Status HtmlPage::write(const std::string& path) const { return replace_file(path, html()); }
 
 }  // namespace lcdm::model

@@ -108,7 +108,7 @@ Result<cv::Matx44d> rectified_from_scanner(const Calibration& cameras, const fs:
 // The projection is rounded half to even, minus one (the development kit counts pixels from 1); the
 // nearest point of a pixel counts. The published evaluations also mix the last column of a row with
 // the first of the next, an oversight in their indices that their crop hides; it is not repeated.
-cv::Mat project_sweep(const std::string& bytes, const KittiCamera& camera, bool scanner_depth) {
+cv::Mat project_sweep(const std::string& bytes, const KittiCamera& camera) {
   cv::Mat depth = cv::Mat::zeros(camera.model.height, camera.model.width, CV_32F);
   for (std::size_t at = 0; at + 16 <= bytes.size(); at += 16) {
     std::array<float, 4> point;  // forward, left, up, reflectance
@@ -121,8 +121,7 @@ cv::Mat project_sweep(const std::string& bytes, const KittiCamera& camera, bool 
     const double y = std::nearbyint(pixel[1] / pixel[2]) - 1;
     if (!(x >= 0 && y >= 0 && x < depth.cols && y < depth.rows)) continue;
     float& nearest = depth.at<float>(static_cast<int>(y), static_cast<int>(x));
-    const float value = scanner_depth ? point[0] : static_cast<float>(pixel[2]);
-    if (nearest <= 0 || value < nearest) nearest = value;
+    if (nearest <= 0 || point[0] < nearest) nearest = point[0];
   }
   return depth;
 }
@@ -153,8 +152,7 @@ Result<KittiCameras> read_kitti_cameras(const fs::path& date, bool with_scanner)
   return cameras;
 }
 
-Result<cv::Mat> read_kitti_sweep(const fs::path& file, const KittiCamera& camera,
-                                 bool scanner_depth) {
+Result<cv::Mat> read_kitti_sweep(const fs::path& file, const KittiCamera& camera) {
   const Result<std::string> bytes = dataset::read_bytes(file, kMostSweepBytes);
   if (!bytes) return bytes.status();
   if (bytes->size() % 16 != 0) {
@@ -162,7 +160,7 @@ Result<cv::Mat> read_kitti_sweep(const fs::path& file, const KittiCamera& camera
                          "%s: %zu bytes are no whole points of 16: cut short, fetch it again",
                          file.c_str(), bytes->size());
   }
-  return project_sweep(*bytes, camera, scanner_depth);
+  return project_sweep(*bytes, camera);
 }
 
 }  // namespace lcdm::model

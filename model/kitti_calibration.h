@@ -21,9 +21,8 @@ using KittiCameras = std::array<KittiCamera, 2>;  // left, right
 Result<KittiCameras> read_kitti_cameras(const std::filesystem::path& date, bool with_scanner);
 
 // Depth [height][width] in metres, 0 where no point falls, of the sweep in `file`, as monodepth2
-// and, before it, Eigen's and Garg's evaluations make it. `scanner_depth`: the scanner's forward
-// distance, else that along the optical axis. kNotFound, kCorrupt: no whole points.
-Result<cv::Mat> read_kitti_sweep(const std::filesystem::path& file, const KittiCamera& camera,
-                                 bool scanner_depth);
+// and, before it, Eigen's and Garg's evaluations make it: the scanner's forward distance, about
+// .27 m more than that along the camera's optical axis. kNotFound, kCorrupt: no whole points.
+Result<cv::Mat> read_kitti_sweep(const std::filesystem::path& file, const KittiCamera& camera);
 
 }  // namespace lcdm::model

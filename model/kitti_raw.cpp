@@ -119,19 +119,19 @@ Status need_folder(const std::string& folder, const char* what) {
                        folder.c_str(), what);
 }
 
-// Looks which pictures of the listed cameras exist. Returns how many listed ones do not.
+// Looks which pictures of the listed cameras exist. Returns how many listed ones do.
 std::size_t find_listed(const fs::path& root, Opened& opened) {
   std::set<std::pair<std::size_t, std::size_t>> looked;
-  std::size_t missing = 0;
+  std::size_t found = 0;
   for (const Listed& frame : opened.frames) {
     Drive& drive = opened.drives[frame.drive];
     auto& pictures = drive.pictures[frame.side];
     if (looked.emplace(frame.drive, frame.side).second) {
       pictures = find_pictures(root / drive.date / drive.name / kFolders[frame.side] / "data");
     }
-    if (!pictures.contains(frame.number)) ++missing;
+    if (pictures.contains(frame.number)) ++found;
   }
-  return missing;
+  return found;
 }
 
 // ---- Frames -------------------------------------------------------------------------------------
@@ -223,7 +223,7 @@ Result<cv::Mat> KittiRawFrames::depth_of(const Listed& frame, cv::Size size) con
     case Depth::kVelodyne: {
       const Result<cv::Mat> full = read_kitti_sweep(
           folder_of(drive) / "velodyne_points" / "data" / numbered(frame.number, ".bin"),
-          camera_of(frame), options_.scanner_depth);
+          camera_of(frame));
       if (!full) return full.status();
       return dataset::reduce_sparse(*full, size);
     }
@@ -261,8 +261,7 @@ Result<cv::Mat> KittiRawFrames::improved_of(const Listed& frame, cv::Size size) 
   return dataset::reduce_sparse(*full, size);
 }
 
-Result<std::shared_ptr<const Frames>> open_checked(const KittiRawOptions& options,
-                                                   std::size_t* missing) {
+Result<std::shared_ptr<const Frames>> open_checked(const KittiRawOptions& options) {
   LCDM_RETURN_IF_ERROR(need_folder(options.root, "KITTI's raw data"));
   if (options.depth == Depth::kImproved || options.depth == Depth::kMaps) {
     LCDM_RETURN_IF_ERROR(need_folder(options.depth_root, "the depth maps"));
@@ -279,12 +278,10 @@ Result<std::shared_ptr<const Frames>> open_checked(const KittiRawOptions& option
     if (!cameras) return cameras.status();
     opened.cameras[drive.date] = *cameras;
   }
-  const std::size_t absent = find_listed(options.root, opened);
-  if (missing != nullptr) *missing = absent;
-  if (absent == opened.frames.size()) {
+  if (find_listed(options.root, opened) == 0) {
     return Status::error(StatusCode::kNotFound,
                          "%s: has none of the %zu pictures that %s lists: is this the raw data?",
-                         options.root.c_str(), absent, options.list.c_str());
+                         options.root.c_str(), opened.frames.size(), options.list.c_str());
   }
   return std::shared_ptr<const Frames>(
       std::make_shared<KittiRawFrames>(options, std::move(opened)));
@@ -292,9 +289,8 @@ Result<std::shared_ptr<const Frames>> open_checked(const KittiRawOptions& option
 
 }  // namespace
 
-Result<std::shared_ptr<const Frames>> open_kitti_raw(const KittiRawOptions& options,
-                                                     std::size_t* missing) {
-  return guarded(options.root, [&] { return open_checked(options, missing); });
+Result<std::shared_ptr<const Frames>> open_kitti_raw(const KittiRawOptions& options) {
+  return guarded(options.root, [&] { return open_checked(options); });
 }
 
 }  // namespace lcdm::model

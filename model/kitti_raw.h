@@ -2,7 +2,6 @@
 // published splits name them: lines "DATE/DATE_drive_NNNN_sync FRAME l|r".
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -15,7 +14,7 @@ namespace lcdm::model {
 struct KittiRawOptions {
   enum class Depth : std::uint8_t {
     kNone,
-    kVelodyne,  // the sweep of the frame, projected
+    kVelodyne,  // the sweep of the frame, projected (kitti_calibration.h)
     kImproved,  // KITTI's annotated depth maps (Uhrig et al. 2017), 1/256 m
     kMaps,      // a teacher's: DRIVE/image_02/NNNNNNNNNN.png, 16 bit, 1/256 m, of any size
   };
@@ -27,18 +26,14 @@ struct KittiRawOptions {
   Depth depth = Depth::kNone;
   // kImproved: the folder of the drives, or of `train` and `val` with them; kMaps: of the drives.
   std::string depth_root;
-  // Of kVelodyne. True: the scanner's forward distance, which the published evaluations take for
-  // depth (monodepth2 exports it so; about .27 m more). False: along the camera's optical axis.
-  bool scanner_depth = true;
   // Wider pictures are reduced. Sparse depth keeps the nearest point in each pixel.
   int max_width = kFullWidth;
 };
 
 // Reads the list and the calibrations; pictures and depth only when asked for. Frames are named
 // DATE_drive_NNNN_sync/image_02/NNNNNNNNNN; neighbours are those of the drive, listed or not.
-// `missing`, where given, becomes the number of listed pictures that are not there: they fail with
-// kNotFound when read. kNotFound: root, list, calibration, or all pictures are missing.
-Result<std::shared_ptr<const Frames>> open_kitti_raw(const KittiRawOptions& options,
-                                                     std::size_t* missing = nullptr);
+// Listed pictures that are not there fail with kNotFound when read. kNotFound: root, list,
+// calibration, or all pictures are missing.
+Result<std::shared_ptr<const Frames>> open_kitti_raw(const KittiRawOptions& options);
 
 }  // namespace lcdm::model

@@ -39,8 +39,7 @@ class Make3dFrames final : public Frames {
       : pictures_(std::move(pictures)),
         depths_(std::move(depths)),
         names_(std::move(names)),
-        max_width_(options.max_width),
-        central_(options.central) {}
+        max_width_(options.max_width) {}
 
   std::size_t size() const override { return names_.size(); }
   std::string name(std::size_t index) const override { return names_[index]; }
@@ -57,7 +56,7 @@ class Make3dFrames final : public Frames {
       frame.rgb = dataset::reduced(*rgb, max_width_);
       cv::resize(*grid, frame.depth, frame.rgb.size(), 0, 0, cv::INTER_NEAREST_EXACT);
       frame.camera = assumed_camera(frame.rgb.size());
-      if (central_) keep_centre(frame);
+      keep_centre(frame);
       return frame;
     });
   }
@@ -98,7 +97,6 @@ class Make3dFrames final : public Frames {
   fs::path depths_;
   std::vector<std::string> names_;
   int max_width_;
-  bool central_;
 };
 
 Result<std::shared_ptr<const Frames>> open_checked(const fs::path& root,

@@ -1,9 +1,10 @@
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
+#include <string_view>
 
-#include "drivers/codec.h"
 #include "drivers/mcap_camera.h"
+#include "firmware/base/file.h"
 #include "model/commands.h"
 
 namespace lcdm::model {
@@ -27,8 +28,7 @@ Status write_intrinsics(const fs::path& file, const Camera& camera) {
       model.width, model.height, static_cast<double>(model.fx), static_cast<double>(model.fy),
       static_cast<double>(model.cx), static_cast<double>(model.cy),
       model.calibrated ? "true" : "false");
-  return write_file(file.string(),
-                    std::as_bytes(std::span(text, static_cast<std::size_t>(length))));
+  return write_file(file.string(), std::string_view(text, static_cast<std::size_t>(length)));
 }
 
 // The recording's JPEGs become rgb/NNNNNN.jpg, untouched, named as `lcdm infer` names their depth.

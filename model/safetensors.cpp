@@ -1,13 +1,12 @@
 #include "model/safetensors.h"
 
-#include <cerrno>
 #include <cstdio>
-#include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <span>
 #include <sstream>
-#include <unistd.h>
 
+#include "firmware/base/file.h"
 #include "firmware/nn/json.h"
 
 namespace lcdm::model {
@@ -56,25 +55,6 @@ std::string header_of(const TensorFile& file) {
   const auto length = static_cast<std::size_t>(out.tellp());
   out << std::string((8 - length % 8) % 8, ' ');
   return out.str();
-}
-
-bool write_all(const std::string& path, const TensorFile& file) {
-  const std::string header = header_of(file);
-  std::FILE* out = std::fopen(path.c_str(), "wb");
-  if (out == nullptr) return false;
-  const std::uint64_t length = header.size();  // little-endian machines only, as everything here
-  bool good = std::fwrite(&length, sizeof(length), 1, out) == 1 &&
-              std::fwrite(header.data(), 1, header.size(), out) == header.size();
-  for (const auto& [name, tensor] : file.tensors) {
-    const torch::Tensor packed = tensor.detach().cpu().contiguous();
-    good = good && std::fwrite(packed.data_ptr(), 1, packed.nbytes(), out) == packed.nbytes();
-  }
-  // On the disk before it takes the old one's place: a power cut leaves one of the two.
-  good = std::fflush(out) == 0 && good && fsync(fileno(out)) == 0;
-  const int write_error = errno;
-  const bool closed = std::fclose(out) == 0;
-  if (!good) errno = write_error;
-  return good && closed;
 }
 
 Status corrupt(const std::string& path, const char* what) {
@@ -133,16 +113,16 @@ std::string json_quoted(const std::string& text) {
 }
 
 Status write_tensors(const std::string& path, const TensorFile& file) {
-  const std::string partial = path + ".partial";
-  if (!write_all(partial, file) || std::rename(partial.c_str(), path.c_str()) != 0) {
-    const int error = errno;
-    std::remove(partial.c_str());
-    return Status::system(error,
-                          "%s could not be written; free space or choose another folder, the "
-                          "file that was there is unharmed",
-                          path.c_str());
+  const std::string header = header_of(file);
+  const std::uint64_t length = header.size();  // little-endian machines only, as everything here
+  FileReplacement out(path);
+  out.append(std::as_bytes(std::span(&length, 1)));
+  out.append(std::as_bytes(std::span(header)));
+  for (const auto& [name, tensor] : file.tensors) {
+    const torch::Tensor packed = tensor.detach().cpu().contiguous();
+    out.append({static_cast<const std::byte*>(packed.data_ptr()), packed.nbytes()});
   }
-  return Status::ok();
+  return out.commit();
 }
 
 Result<TensorFile> read_tensors(const std::string& path) {

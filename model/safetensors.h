@@ -14,7 +14,7 @@ struct TensorFile {
   std::map<std::string, std::string> metadata;
 };
 
-// Written beside `path` and renamed onto it: `path` holds the old file or the whole new one.
+// `path` holds the old file or the whole new one, through a power cut too.
 // kIoError: a full disk, a folder that is not there.
 Status write_tensors(const std::string& path, const TensorFile& file);
 

@@ -2,7 +2,7 @@
 #include <filesystem>
 #include <opencv2/imgcodecs.hpp>
 
-#include "drivers/codec.h"
+#include "firmware/base/file.h"
 #include "model/catalogue.h"
 #include "model/checkpoint.h"
 #include "model/choice_option.h"
@@ -70,7 +70,7 @@ Status write_alignment(const fs::path& folder, const Options& options) {
   }
   std::error_code error;
   fs::create_directories(folder, error);
-  return write_file((folder / "teacher.json").string(), std::as_bytes(std::span(text)));
+  return write_file((folder / "teacher.json").string(), text);
 }
 
 Status run(const Options& options) {

@@ -2,11 +2,10 @@
 
 #include <cstdlib>
 #include <fstream>
-#include <span>
 #include <string>
 #include <unistd.h>
 
-#include "drivers/codec.h"
+#include "firmware/base/file.h"
 
 namespace lcdm::model {
 namespace {
@@ -24,17 +23,13 @@ std::string rows_until(const std::filesystem::path& path, std::int64_t last) {
   return kept;
 }
 
-// Null where it cannot be written: a training goes on without its log. The rows that stay are
-// written beside the file first: a full disk must not cost what is there.
+// Null where it cannot be written: a training goes on without its log, and a full disk costs
+// nothing of what is there.
 std::FILE* open_to_append(const std::filesystem::path& path, std::int64_t last,
                           const std::string& header) {
   const std::string kept = rows_until(path, last);
   const std::string rows = kept.empty() ? header + "\n" : kept;
-  const std::filesystem::path partial = path.string() + ".partial";
-  if (!write_file(partial.string(), std::as_bytes(std::span(rows)))) return nullptr;
-  std::error_code error;
-  std::filesystem::rename(partial, path, error);
-  return error ? nullptr : std::fopen(path.c_str(), "a");
+  return replace_file(path.string(), rows) ? std::fopen(path.c_str(), "a") : nullptr;
 }
 
 }  // namespace

@@ -22,6 +22,7 @@
 #include "app/source.h"
 #include "drivers/codec.h"
 #include "firmware/base/exit_code.h"
+#include "firmware/base/file.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {

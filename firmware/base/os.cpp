@@ -113,6 +113,10 @@ std::int64_t page_faults() {
   return usage.ru_minflt + usage.ru_majflt;
 }
 
+bool sync_file(std::FILE* file) noexcept {
+  return std::fflush(file) == 0 && fsync(fileno(file)) == 0;
+}
+
 void sync_folder(const char* folder) noexcept {
   const int descriptor = open(folder[0] == 0 ? "." : folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
   if (descriptor < 0) return;

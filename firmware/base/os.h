@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <cstdio>
 
 #include "firmware/base/status.h"
 
@@ -48,6 +49,9 @@ std::size_t peak_rss_bytes();
 
 // Minor plus major page faults of all threads of this process so far.
 std::int64_t page_faults();
+
+// Makes what was written to a file last through a power cut. False: it could not, errno says why.
+bool sync_file(std::FILE* file) noexcept;
 
 // Makes the names in a folder ("" is the present one) last through a power cut, where its file
 // system can.

@@ -22,8 +22,4 @@ std::string Camera::frame_name(std::uint64_t sequence) const {
   return name;
 }
 
-Result<int> Camera::export_buffer(int /*index*/) const {
-  return Status::error(StatusCode::kUnsupported, "this source cannot share its buffers");
-}
-
 }  // namespace lcdm

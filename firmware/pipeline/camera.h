@@ -82,9 +82,6 @@ class Camera {
   virtual Result<CapturedFrame> dequeue(std::chrono::milliseconds timeout) = 0;
   // Gives a dequeued buffer back for reuse.
   virtual Status requeue(int index) = 0;
-  // Buffer `index` as a dma-buf, through which another device (GPU, encoder) reads its frames
-  // without a copy, from start to stop. The caller closes it. kUnsupported: the source has none.
-  virtual Result<int> export_buffer(int index) const;
   virtual void stop() = 0;
 };
 

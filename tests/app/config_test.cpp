@@ -8,6 +8,8 @@
 #include <map>
 #include <regex>
 #include <string>
+#include <variant>
+#include <vector>
 
 #include "firmware/health/supervisor.h"
 #include "tests/support/temporary_folder.h"
@@ -45,13 +47,20 @@ Status assign(const std::string& text) {
 // But for the source, as an installed device waits for a camera where the program alone shows the
 // rendered scene, and for the address that the network over USB brings.
 TEST(ShippedConfig, HoldsTheDefaultsOfTheProgram) {
-  const auto config = load_config({kShipped, {}, {}});
+  auto config = load_config({kShipped, {}, {}});
   ASSERT_TRUE(config) << config.status().text();
   Config expected;
   EXPECT_EQ(expected.camera.source, "auto");
   expected.camera.source = "v4l2:any";
   expected.http.listen += ",192.168.58.1";
-  EXPECT_TRUE(*config == expected);
+  const std::vector<ConfigField> shipped = config_fields(*config);
+  const std::vector<ConfigField> ours = config_fields(expected);
+  for (std::size_t i = 0; i < ours.size(); ++i) {
+    const bool equal = std::visit(
+        [&](auto* place) { return *place == *std::get<decltype(place)>(shipped[i].place); },
+        ours[i].place);
+    EXPECT_TRUE(equal) << ours[i].section << "." << ours[i].key;
+  }
 }
 
 // `section.key` -> whether a comment stands above it.

@@ -413,7 +413,7 @@ TEST(RgbPng, OpenCvReadsTheSameColours) {
   EXPECT_EQ(cv::norm(read, rgb, cv::NORM_INF), 0);
 }
 
-// ---- TIFF and files -----------------------------------------------------------------------------
+// ---- TIFF ---------------------------------------------------------------------------------------
 
 TEST(FloatTiff, OpenCvReadsEveryBit) {
   const TemporaryFolder folder;
@@ -429,17 +429,6 @@ TEST(FloatTiff, OpenCvReadsEveryBit) {
     EXPECT_TRUE(std::equal(values.begin(), values.end(), read.begin<float>()));
   }
   EXPECT_NE(text_of(folder.file("d.tiff")).find("scale=relative\nunit=metre\n"), std::string::npos);
-}
-
-TEST(WriteFile, AFullDiskOrMissingFolderIsNamedAndLeavesNothing) {
-  const std::vector<std::byte> bytes(1U << 16);
-  const Status full = write_file("/dev/full", bytes);
-  EXPECT_EQ(full.code(), StatusCode::kIoError);
-  EXPECT_NE(std::string(full.text()).find("No space"), std::string::npos) << full.text();
-  const TemporaryFolder folder;
-  const Status missing = write_file(folder.file("no/such/folder.png"), bytes);
-  EXPECT_EQ(missing.code(), StatusCode::kIoError);
-  EXPECT_NE(std::string(missing.text()).find("no/such/folder.png"), std::string::npos);
 }
 
 }  // namespace

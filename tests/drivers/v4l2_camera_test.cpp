@@ -32,26 +32,28 @@ TEST_F(V4l2CameraTest, StreamsThreeHundredFramesInPlaceAndInOrder) {
   }
 }
 
-TEST_F(V4l2CameraTest, SharesItsBuffersWithOtherDevices) {
-  const FakeV4l2 device({});
-  V4l2Camera camera(FakeV4l2::kPath);
-  open_camera(camera);
-  const auto frame = camera.dequeue(milliseconds(500));
-  ASSERT_TRUE(frame);
-  const Result<int> shared = camera.export_buffer(frame->index);
+TEST_F(V4l2CameraTest, ItsQueueSharesBuffersWithOtherDevices) {
+  const FakeV4l2 node({});
+  V4l2Device device;
+  ASSERT_TRUE(device.open(FakeV4l2::kPath));
+  V4l2Queue queue(device);
+  ASSERT_TRUE(queue.map());
+  const Result<int> shared = queue.export_buffer(0);
   ASSERT_TRUE(shared) << shared.status().text();
   EXPECT_EQ(fcntl(*shared, F_GETFD), FD_CLOEXEC);
   EXPECT_EQ(close(*shared), 0);
-  EXPECT_EQ(camera.export_buffer(camera.buffer_count()).code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(queue.export_buffer(queue.size()).code(), StatusCode::kInvalidInput);
 }
 
-TEST_F(V4l2CameraTest, SaysThatADriverCannotShare) {
+TEST_F(V4l2CameraTest, ItsQueueSaysThatADriverCannotShare) {
   FakeV4l2::Behaviour behaviour;
   behaviour.shares_buffers = false;
-  const FakeV4l2 device(behaviour);
-  V4l2Camera camera(FakeV4l2::kPath);
-  open_camera(camera);
-  EXPECT_EQ(camera.export_buffer(0).code(), StatusCode::kUnsupported);
+  const FakeV4l2 node(behaviour);
+  V4l2Device device;
+  ASSERT_TRUE(device.open(FakeV4l2::kPath));
+  V4l2Queue queue(device);
+  ASSERT_TRUE(queue.map());
+  EXPECT_EQ(queue.export_buffer(0).code(), StatusCode::kUnsupported);
 }
 
 TEST_F(V4l2CameraTest, AllocatesNothingWhileItStreams) {

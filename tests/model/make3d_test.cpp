@@ -28,36 +28,22 @@ class Make3d : public DataSet {
   }
 };
 
-TEST_F(Make3d, TheScannersGridIsSpreadOverThePicture) {
+TEST_F(Make3d, TheMiddleOfThePictureHasTheScannersGridSpreadOverTheWhole) {
   const FramesResult frames = open_make3d(root_.string());
   ASSERT_TRUE(frames) << frames.status().text();
   ASSERT_EQ((*frames)->size(), 2U);
   EXPECT_EQ((*frames)->name(1), "op2-p-200t000");
   const Result<PackFrame> frame = (*frames)->read(1);
   ASSERT_TRUE(frame) << frame.status().text();
-  ASSERT_EQ(frame->rgb.size(), cv::Size(24, 32));
-  ASSERT_EQ(frame->depth.size(), cv::Size(24, 32));
-  EXPECT_NEAR(frame->rgb.at<cv::Vec3b>(9, 9)[2], 200, 6);
-  for (int y = 0; y < 32; ++y) {  // 4 x 6 cells of 8 rows x 4 columns
-    for (int x = 0; x < 24; ++x) {
-      EXPECT_FLOAT_EQ(frame->depth.at<float>(y, x),
-                      1 + static_cast<float>(y / 8) + (x >= 12 ? 100.F : 0.F));
-    }
-  }
-}
-
-// 24 x 32: of the rows the middle 12 stay.
-TEST_F(Make3d, TheMiddleIsWhatThePublishedProtocolMeasures) {
-  Make3dOptions options;
-  options.central = true;
-  const FramesResult frames = open_make3d(root_.string(), options);
-  ASSERT_TRUE(frames) << frames.status().text();
-  const Result<PackFrame> frame = (*frames)->read(1);
-  ASSERT_TRUE(frame) << frame.status().text();
   ASSERT_EQ(frame->rgb.size(), cv::Size(24, 12));
   ASSERT_EQ(frame->depth.size(), cv::Size(24, 12));
-  EXPECT_FLOAT_EQ(frame->depth.at<float>(0, 0), 1 + 10 / 8);
-  EXPECT_FLOAT_EQ(frame->depth.at<float>(11, 0), 1 + 21 / 8);
+  EXPECT_NEAR(frame->rgb.at<cv::Vec3b>(9, 9)[2], 200, 6);
+  for (int y = 0; y < 12; ++y) {  // 4 x 6 cells of 8 rows x 4 columns; of 32 rows the middle 12
+    for (int x = 0; x < 24; ++x) {
+      EXPECT_FLOAT_EQ(frame->depth.at<float>(y, x),
+                      1 + static_cast<float>((y + 10) / 8) + (x >= 12 ? 100.F : 0.F));
+    }
+  }
   EXPECT_FLOAT_EQ(frame->camera.cy, 5.5F);
   EXPECT_EQ(frame->camera.height, 12);
 }
@@ -67,9 +53,10 @@ TEST_F(Make3d, GridsOfThePublishedSizeAreRead) {
   ASSERT_TRUE(frames) << frames.status().text();
   const Result<PackFrame> frame = (*frames)->read(0);
   ASSERT_TRUE(frame) << frame.status().text();
-  EXPECT_FLOAT_EQ(frame->depth.at<float>(0, 0), 1);
-  EXPECT_FLOAT_EQ(frame->depth.at<float>(31, 0), 1 + 63 * 55 / 64);     // the middle of the row
-  EXPECT_FLOAT_EQ(frame->depth.at<float>(31, 23), 101 + 63 * 55 / 64);  // the middle of the row
+  // By the middles of the picture's rows 10 and 21.
+  EXPECT_FLOAT_EQ(frame->depth.at<float>(0, 0), 1 + 21 * 55 / 64);
+  EXPECT_FLOAT_EQ(frame->depth.at<float>(11, 0), 1 + 43 * 55 / 64);
+  EXPECT_FLOAT_EQ(frame->depth.at<float>(11, 23), 101 + 43 * 55 / 64);
 }
 
 TEST_F(Make3d, TheCameraIsAssumedAndFollowsTheLongerSide) {
@@ -79,10 +66,10 @@ TEST_F(Make3d, TheCameraIsAssumedAndFollowsTheLongerSide) {
   ASSERT_TRUE(frames) << frames.status().text();
   const Result<PackFrame> frame = (*frames)->read(0);
   ASSERT_TRUE(frame) << frame.status().text();
-  EXPECT_EQ(frame->depth.size(), cv::Size(12, 16));
+  EXPECT_EQ(frame->depth.size(), cv::Size(12, 6));  // the middle of 12 x 16
   EXPECT_FALSE(frame->camera.calibrated);
   EXPECT_NEAR(frame->camera.fx, 2403.8 * 16 / 2272, 0.01);
-  EXPECT_FLOAT_EQ(frame->camera.cy, 7.5F);
+  EXPECT_FLOAT_EQ(frame->camera.cy, 2.5F);
   EXPECT_FALSE((*frames)->has_neighbours(0));
   EXPECT_EQ((*frames)->neighbour(0, 1).code(), StatusCode::kNotFound);
 }
@@ -129,7 +116,7 @@ TEST_F(Make3d, NoBytesOfAGridCanDoHarm) {
       }
       write(file, bad);
       const Result<PackFrame> frame = (*frames)->read(index);
-      EXPECT_TRUE(!frame || frame->depth.size() == cv::Size(24, 32));
+      EXPECT_TRUE(!frame || frame->depth.size() == cv::Size(24, 12));
     }
   }
 }

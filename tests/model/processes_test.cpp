@@ -1,12 +1,16 @@
 // Training in several processes, with the real program and LibTorch's own collectives.
 #include "model/processes.h"
 
+#include <arpa/inet.h>
 #include <cmath>
 #include <cstdlib>
 #include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
 #include <torch/csrc/distributed/c10d/TCPStore.hpp>
+#include <unistd.h>
 
-#include "firmware/base/os.h"
+#include "firmware/base/check.h"
 #include "model/csv.h"
 #include "model/safetensors.h"
 #include "tests/app/program.h"
@@ -14,6 +18,19 @@
 
 namespace lcdm::model {
 namespace {
+
+// One that the kernel has just found free.
+int free_port() {
+  const int fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_ANY);  // where the first process will listen
+  socklen_t length = sizeof(address);
+  LCDM_CHECK(bind(fd, reinterpret_cast<const sockaddr*>(&address), length) == 0);
+  LCDM_CHECK(getsockname(fd, reinterpret_cast<sockaddr*>(&address), &length) == 0);
+  close(fd);
+  return ntohs(address.sin_port);
+}
 
 class ProcessesTest : public testing::Test {
  protected:
@@ -34,9 +51,9 @@ class ProcessesTest : public testing::Test {
     ASSERT_EQ(program.wait(300), 0) << program.text();
   }
   void train_both(const std::string& output, const std::vector<std::string>& more) const {
-    train_both_at(20000 + os::monotonic_ns() / 1000 % 20000, "False", output, more);
+    train_both_at(free_port(), "False", output, more);
   }
-  void train_both_at(std::int64_t port, const std::string& agent, const std::string& output,
+  void train_both_at(int port, const std::string& agent, const std::string& output,
                      const std::vector<std::string>& more) const {
     const auto environment = [&](const char* rank) -> std::vector<std::string> {
       return {"WORLD_SIZE=2", "MASTER_ADDR=127.0.0.1", "MASTER_PORT=" + std::to_string(port),
@@ -92,8 +109,7 @@ TEST_F(ProcessesTest, TwoHaveTheGradientOfOne) {
 
 // Each would write the other's tables.
 TEST_F(ProcessesTest, TwoDoNotAblate) {
-  const std::string port =
-      "MASTER_PORT=" + std::to_string(20000 + os::monotonic_ns() / 1000 % 20000);
+  const std::string port = "MASTER_PORT=" + std::to_string(free_port());
   const std::vector<std::string> both = {"WORLD_SIZE=2", "MASTER_ADDR=127.0.0.1", port};
   std::vector<std::vector<std::string>> each = {both, both};
   each[0].emplace_back("RANK=0");
