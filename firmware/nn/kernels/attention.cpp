@@ -272,6 +272,11 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   for (; channel + kRows <= t.head_channels; channel += kRows) {
     mix_rows<Operand, kRows>(values, channel, inverse, b);
   }
+  if constexpr (kRows > 4) {
+    for (; channel + 4 <= t.head_channels; channel += 4) {
+      mix_rows<Operand, 4>(values, channel, inverse, b);
+    }
+  }
   for (; channel + 2 <= t.head_channels; channel += 2) {
     mix_rows<Operand, 2>(values, channel, inverse, b);
   }
