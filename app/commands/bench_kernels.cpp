@@ -273,14 +273,14 @@ class Cases {
     step.shared = values(product({pixels, step.channels}));
     update.state = values(pixels);
     if (has_state) step.state = update.state;
-    step.scale = step.constant = step.bias = step.time = values(step.channels);
-    step.composed = values(product({25, step.channels}));
-    step.embed = values(product({9, step.channels}));
-    step.conv1 = values(product({9, step.channels, step.channels}));
+    step.scale = values(step.channels);
+    step.constant = values(product({kernels::kHeadPlaces, step.channels}));
+    step.composed = values(product({kernels::kHeadPlaces, 25, step.channels}));
+    const float* taps = values(product({9, step.channels}));
     const std::span<float> weights =
         floats(static_cast<double>(kernels::update_weight_floats(step.channels)));
     if (!status_) return;
-    kernels::pack_update_weights(step.embed, step.channels, weights.data());
+    kernels::pack_update_weights(taps, step.channels, weights.data());
     update.weights = weights.data();
     update.p = 1;
     update.q = 0.1F;
