@@ -9,6 +9,7 @@
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/head.cpp"
 #include "firmware/nn/kernels/simd.h"
 #include "hwy/foreach_target.h"
+#include "hwy/cache_control.h"
 #include "hwy/highway.h"
 #include "firmware/nn/kernels/math-inl.h"
 #include "firmware/nn/kernels/own_rows.h"
@@ -17,6 +18,10 @@
 HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
+
+// Floats from those of `shared` that are used to those that are fetched: 6 KB. Larger pictures'
+// come from memory, and are not asked for early enough otherwise.
+constexpr std::size_t kAhead = 1536;
 
 // kPixels neighbours of one place; what of the state is beyond the image has no part. kClipped: a
 // pixel from which columns of it are.
@@ -38,7 +43,9 @@ HWY_INLINE void hidden_pixels(const HeadStep& s, int y, int x, std::size_t place
     const V constant = hn::LoadU(d, s.constant + place * channels + c);
     V h[kPixels];
     LCDM_UNROLL for (std::size_t i = 0; i < kPixels; ++i) {
-      h[i] = hn::MulAdd(scale, hn::LoadU(d, shared + i * channels + c), constant);
+      const float* from = shared + i * channels + c;
+      hwy::Prefetch(from + kAhead);
+      h[i] = hn::MulAdd(scale, hn::LoadU(d, from), constant);
     }
     for (int row = first_row; row <= last_row && s.state != nullptr; ++row) {
       const float* from = s.state + static_cast<std::ptrdiff_t>(row) * s.width + x - 2;
