@@ -48,12 +48,12 @@ HWY_INLINE void hidden_pixels(const HeadStep& s, int y, int x, std::size_t place
       h[i] = hn::MulAdd(scale, hn::LoadU(d, from), constant);
     }
     for (int row = first_row; row <= last_row && s.state != nullptr; ++row) {
-      const float* from = s.state + static_cast<std::ptrdiff_t>(row) * s.width + x - 2;
+      const float* state = s.state + static_cast<std::size_t>(row) * width;
       const float* taps = composed + static_cast<std::size_t>(5 * (row - y + 2)) * channels + c;
       LCDM_UNROLL for (int kx = first_column; kx < end_column; ++kx) {
         const V w = hn::LoadU(d, taps + static_cast<std::size_t>(kx) * channels);
         LCDM_UNROLL for (std::size_t i = 0; i < kPixels; ++i) {
-          h[i] = hn::MulAdd(hn::Set(d, from[static_cast<int>(i) + kx]), w, h[i]);
+          h[i] = hn::MulAdd(hn::Set(d, state[x - 2 + kx + static_cast<int>(i)]), w, h[i]);
         }
       }
     }
