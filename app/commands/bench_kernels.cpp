@@ -65,14 +65,16 @@ class Cases {
       if (kernels::native_precision(precision) != precision) continue;
       matrix(precision);
       inverted_residual(precision);
+      conv3x3(precision);
+      upsampled_conv3x3(precision);
       if (precision != Precision::kInt8) attention(precision);
     }
-    conv3x3();
-    upsampled_conv3x3();
+    stem();
     winograd();
     layer_norm();
     group_norm();
-    head();
+    head(true);
+    head(false);
     depth();
     unfold();
     resize();
@@ -97,15 +99,16 @@ class Cases {
   }
   float* values(double count) { return floats(count).data(); }
 
-  PackedMatrix pack(int depth, int columns, Precision precision = Precision::kFloat32) {
+  PackedMatrix pack(int depth, int columns, Precision precision = Precision::kFloat32,
+                    int runs = 1) {
     const std::span<float> out =
-        floats(static_cast<double>(kernels::packed_floats(depth, columns, precision)));
+        floats(static_cast<double>(kernels::packed_floats(depth, columns, precision, runs)));
     if (!status_) return {};
     const std::vector<float> bias(static_cast<std::size_t>(columns), 0.1F);
     const auto weight = [depth](int k, int n) {
       return 0.1F * static_cast<float>((k * 31 + n * 17) % 19 - 9) / static_cast<float>(depth);
     };
-    return kernels::pack_matrix(depth, columns, weight, bias, out, precision);
+    return kernels::pack_matrix(depth, columns, weight, bias, out, precision, runs);
   }
 
   void add(KernelCase made) { cases_.push_back(std::move(made)); }
@@ -169,7 +172,8 @@ class Cases {
     return conv;
   }
 
-  void add_conv(const char* name, const kernels::Conv3x3& conv, int channels, double in) {
+  void add_conv(const char* name, const kernels::Conv3x3& conv, Precision precision, int channels,
+                double in) {
     kernels::ConvChain chain;
     chain.convs[0] = conv;
     chain.count = 1;
@@ -178,26 +182,34 @@ class Cases {
     const int columns = conv.weights.columns;
     chain.convs[0].output = values(pixels * columns);
     float* scratch = values(static_cast<double>(kernels::conv3x3_scratch(chain)));
-    add({name, Precision::kFloat32, pixels * product({9, channels, columns}),
+    add({name, precision, pixels * product({9, channels, columns}),
          float_bytes(in + pixels * columns),
          [=] { kernels::conv3x3_rows(chain, 0, rows, scratch); }});
   }
 
-  void conv3x3() {
+  void stem() {
     kernels::Conv3x3 conv = image_conv(640, 192, 3);
     conv.stride = 2;
     conv.weights = pack(9 * 3, 16);
-    add_conv("3x3 3 -> 16, 640x192, stride 2", conv, 3, product({640, 192, 3}));
+    add_conv("3x3 3 -> 16, 640x192, stride 2", conv, Precision::kFloat32, 3,
+             product({640, 192, 3}));
   }
 
-  void upsampled_conv3x3() {
+  void conv3x3(Precision precision) {
+    kernels::Conv3x3 conv = image_conv(320, 96, 16);
+    conv.weights = pack(9 * conv.channels, 16, precision, 3);
+    add_conv("3x3 16 -> 16, 320x96, direct", conv, precision, conv.channels,
+             product({320, 96, conv.channels}));
+  }
+
+  void upsampled_conv3x3(Precision precision) {
     kernels::Conv3x3 conv;
     conv.width = 320;
     conv.height = 96;
     conv.input_count = 0;
     conv.weights = pack(0, 16);
-    conv.upsampled = {values(product({160, 48, 32})), 48, 160, 32, pack(32, 9 * 16)};
-    add_conv("3x3 32 -> 16 of doubled 160x48", conv, 32, product({160, 48, 32}));
+    conv.upsampled = {values(product({160, 48, 32})), 48, 160, 32, pack(32, 9 * 16, precision)};
+    add_conv("3x3 32 -> 16 of doubled 160x48", conv, precision, 32, product({160, 48, 32}));
   }
 
   void winograd() {
@@ -250,7 +262,8 @@ class Cases {
          }});
   }
 
-  void head() {
+  // The first of two steps that start from zeros has no state to convolve.
+  void head(bool has_state) {
     kernels::HeadUpdate update;
     kernels::HeadStep& step = update.step;
     step.height = 192;
@@ -258,22 +271,24 @@ class Cases {
     step.channels = 16;
     const int pixels = step.height * step.width;
     step.shared = values(product({pixels, step.channels}));
-    step.state = update.state = values(pixels);
-    step.scale = step.constant = step.bias = step.time = values(step.channels);
-    step.composed = values(product({25, step.channels}));
-    step.embed = values(product({9, step.channels}));
-    step.conv1 = values(product({9, step.channels, step.channels}));
+    update.state = values(pixels);
+    if (has_state) step.state = update.state;
+    step.scale = values(step.channels);
+    step.constant = values(product({kernels::kHeadPlaces, step.channels}));
+    step.composed = values(product({kernels::kHeadPlaces, 25, step.channels}));
+    const float* taps = values(product({9, step.channels}));
     const std::span<float> weights =
         floats(static_cast<double>(kernels::update_weight_floats(step.channels)));
     if (!status_) return;
-    kernels::pack_update_weights(step.embed, step.channels, weights.data());
+    kernels::pack_update_weights(taps, step.channels, weights.data());
     update.weights = weights.data();
     update.p = 1;
     update.q = 0.1F;
     update.next = values(pixels);
     float* scratch = values(static_cast<double>(kernels::head_update_scratch(update)));
-    add({"sampler step of the head, 640x192", Precision::kFloat32,
-         product({pixels, step.channels, 25 + 9}),
+    const char* name =
+        has_state ? "sampler step of the head, 640x192" : "sampler step from zeros, 640x192";
+    add({name, Precision::kFloat32, product({pixels, step.channels, (has_state ? 25 : 0) + 9}),
          float_bytes(product({pixels, step.channels + 2})),
          [=] { kernels::head_update_rows(update, 0, update.step.height, scratch); }});
   }

@@ -19,38 +19,45 @@ struct Filters {
 
 int input_channels(const Layer& layer) { return static_cast<int>(layer.parameters[0].shape[1]); }
 
-// conv1 of embed's taps and of the time, with the scale, as one 5x5 convolution and one constant.
+// conv1 of embed's taps and of the time, with the scale, as a 5x5 convolution and a constant for
+// each place of a pixel.
 struct ComposedHead {
-  std::vector<float> composed;  // [25, channels]
-  std::vector<float> constant;  // [channels]
-  std::vector<float> conv1;     // [9, channels in, channels out]
+  std::vector<float> composed;  // [kHeadPlaces, 25, channels]
+  std::vector<float> constant;  // [kHeadPlaces, channels]
 };
 struct HeadParameters {
   std::vector<float> embed, time, conv1, scale, bias;
 };
-ComposedHead compose(const HeadParameters& p) {
+
+// The output channel n of it at one place.
+void compose(const HeadParameters& p, std::size_t place, std::size_t n, ComposedHead& out) {
   const std::size_t channels = p.scale.size();
-  ComposedHead out{std::vector<float>(25 * channels), std::vector<float>(channels),
-                   std::vector<float>(9 * channels * channels)};
-  for (std::size_t n = 0; n < channels; ++n) {
-    double taps[25] = {};
-    auto constant = static_cast<double>(p.bias[n]);
-    for (std::size_t c = 0; c < channels; ++c) {
-      for (std::size_t t = 0; t < 9; ++t) {
-        const float weight = p.conv1[(n * channels + c) * 9 + t];
-        out.conv1[(t * channels + c) * channels + n] = weight;
-        const double scaled = static_cast<double>(p.scale[n]) * static_cast<double>(weight);
-        constant += scaled * static_cast<double>(p.time[c]);
-        for (std::size_t e = 0; e < 9; ++e) {
-          const std::size_t at = 5 * (t / 3 + e / 3) + t % 3 + e % 3;
-          taps[at] += scaled * static_cast<double>(p.embed[c * 9 + e]);
-        }
+  double taps[25] = {};
+  auto constant = static_cast<double>(p.bias[n]);
+  for (std::size_t c = 0; c < channels; ++c) {
+    for (std::size_t t = 0; t < 9; ++t) {
+      if (!kernels::head_tap_sees(place, t)) continue;
+      const float weight = p.conv1[(n * channels + c) * 9 + t];
+      const double scaled = static_cast<double>(p.scale[n]) * static_cast<double>(weight);
+      constant += scaled * static_cast<double>(p.time[c]);
+      for (std::size_t e = 0; e < 9; ++e) {
+        const std::size_t at = 5 * (t / 3 + e / 3) + t % 3 + e % 3;
+        taps[at] += scaled * static_cast<double>(p.embed[c * 9 + e]);
       }
     }
-    out.constant[n] = static_cast<float>(constant);
-    for (std::size_t i = 0; i < 25; ++i) {
-      out.composed[i * channels + n] = static_cast<float>(taps[i]);
-    }
+  }
+  out.constant[place * channels + n] = static_cast<float>(constant);
+  for (std::size_t i = 0; i < 25; ++i) {
+    out.composed[(place * 25 + i) * channels + n] = static_cast<float>(taps[i]);
+  }
+}
+
+ComposedHead compose(const HeadParameters& p) {
+  const std::size_t channels = p.scale.size();
+  ComposedHead out{std::vector<float>(kernels::kHeadPlaces * 25 * channels),
+                   std::vector<float>(kernels::kHeadPlaces * channels)};
+  for (std::size_t place = 0; place < kernels::kHeadPlaces; ++place) {
+    for (std::size_t n = 0; n < channels; ++n) compose(p, place, n, out);
   }
   return out;
 }
@@ -159,11 +166,7 @@ Status WeightStore::pack_head_step(const Layer& layer, kernels::HeadStep& out) {
   const ComposedHead made = compose(given);
   LCDM_RETURN_IF_ERROR(store(made.composed, out.composed));
   LCDM_RETURN_IF_ERROR(store(made.constant, out.constant));
-  LCDM_RETURN_IF_ERROR(store(made.conv1, out.conv1));
-  LCDM_RETURN_IF_ERROR(store(given.scale, out.scale));
-  LCDM_RETURN_IF_ERROR(store(given.bias, out.bias));
-  LCDM_RETURN_IF_ERROR(store(given.time, out.time));
-  return store_taps(layer.parameters[0], out.embed);
+  return store(given.scale, out.scale);
 }
 
 Status WeightStore::pack_update(const Layer& layer, kernels::HeadUpdate& out) {

@@ -6,11 +6,40 @@
 #include "hwy/targets.h"
 // clang-format on
 
+#include <cstdio>
 #include <gtest/gtest.h>
 #include <random>
+#include <set>
+#include <string>
 #include <vector>
 
+#include "firmware/nn/kernels/matrix.h"
+#include "firmware/nn/network.h"
+
 namespace lcdm::test {
+
+// The narrow precisions whose products this processor makes with the chosen instruction set, those
+// that are put together slowly in brackets.
+inline std::string narrow_precisions() {
+  std::string names;
+  for (const Precision precision : {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
+    const kernels::Support support = kernels::support_of(precision);
+    if (support == kernels::Support::kNone) continue;
+    const std::string name = to_string(precision);
+    names += support == kernels::Support::kNative ? " " + name : " (" + name + ")";
+  }
+  return names;
+}
+
+// Notes what a test runs with: what this processor lacks is not tested here, and nothing fails. In
+// the test's report, and once in the program's output.
+inline void note_isa(const char* name) {
+  static std::set<std::string> printed;
+  const std::string precisions = narrow_precisions();
+  testing::Test::RecordProperty(name, "fp32" + precisions);
+  if (printed.insert(name).second)
+    std::printf("[ kernels  ] %s: fp32%s\n", name, precisions.c_str());
+}
 
 // Calls check() with the kernels forced to each instruction set this processor has in turn, then
 // lets them choose again.
@@ -20,6 +49,7 @@ void for_each_isa(Check&& check) {
     SCOPED_TRACE(hwy::TargetName(target));
     hwy::SetSupportedTargetsForTest(target);
     hwy::GetChosenTarget().DeInit();
+    note_isa(hwy::TargetName(target));
     check();
   }
   hwy::SetSupportedTargetsForTest(0);

@@ -37,6 +37,10 @@ struct QueryTile {
 template <class Operand>
 constexpr int kPerWord = numbers_per_word(Operand::kPrecision);
 
+// Scores of floats are in units of log(2), so that e^score is a power of two.
+template <class Operand>
+constexpr float kScoreUnits = kPerWord<Operand> == 1 ? 1.44269504F : 1.0F;
+
 // The operand's numbers of one word, from rows that are `step` apart, times `factor` where it is
 // scaled; what is beyond `count` is 0.
 template <class Operand, class D>
@@ -172,6 +176,19 @@ HWY_INLINE void score_rows(const Walk& keys, int key, const Buffers<Operand>& b,
   }
 }
 
+// e^((score - largest) * unit).
+template <class Operand>
+HWY_INLINE FullVec power_of(FullTag d, FullVec score, FullVec largest,
+                            [[maybe_unused]] float unit) {
+  if constexpr (kPerWord<Operand> == 1) {
+    return exp2_approx(d, hn::Sub(score, largest));
+  } else {
+    FullVec more = hn::Sub(largest, score);
+    if constexpr (Operand::kScaled) more = hn::Mul(more, hn::Set(d, unit));
+    return rough_exp_minus(d, more);
+  }
+}
+
 // scores[key][query] <- exp((score - largest of the query) * unit), as words; returns 1 / their
 // sums.
 template <class Operand>
@@ -184,10 +201,7 @@ HWY_INLINE void softmax(const QueryTile& t, float unit, const FullVec (&largest)
     const float* score = b.scores + v * kLanes;
     float* word = b.scores + v * kLanes;
     const auto next = [&] HWY_ATTR {
-      FullVec more = hn::Sub(largest[v], hn::LoadU(d, score));
-      if constexpr (Operand::kScaled) more = hn::Mul(more, hn::Set(d, unit));
-      const FullVec e =
-          kPairs ? rough_exp_minus(d, more) : exp_approx(d, hn::Sub(hn::Zero(d), more));
+      const FullVec e = power_of<Operand>(d, hn::LoadU(d, score), largest[v], unit);
       score += kQueries;
       sum = hn::Add(sum, e);
       return e;
@@ -226,7 +240,8 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   constexpr int kRows = tile_rows<kQueryVectors>();
   const FullTag d;
   const Buffers<Operand> b(t, scratch);
-  float unit = pack_queries(t, 1.0F / std::sqrt(static_cast<float>(t.head_channels)), b);
+  const float scale = kScoreUnits<Operand> / std::sqrt(static_cast<float>(t.head_channels));
+  float unit = pack_queries(t, scale, b);
   float value_unit = 1;
   const int channel_words = words_of<Operand>(t.head_channels);
   Walk keys = {t.keys, t.token_stride, 1, channel_words};
@@ -256,6 +271,11 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   int channel = 0;
   for (; channel + kRows <= t.head_channels; channel += kRows) {
     mix_rows<Operand, kRows>(values, channel, inverse, b);
+  }
+  if constexpr (kRows > 4) {
+    for (; channel + 4 <= t.head_channels; channel += 4) {
+      mix_rows<Operand, 4>(values, channel, inverse, b);
+    }
   }
   for (; channel + 2 <= t.head_channels; channel += 2) {
     mix_rows<Operand, 2>(values, channel, inverse, b);

@@ -66,10 +66,8 @@ struct Bfloat16Operand {
     }
   }
 
-  static HWY_INLINE RowRange narrow_rows(const float* from, std::ptrdiff_t stride, int rows,
-                                         int count, float* words) {
-    const std::ptrdiff_t step = count / 2;
-    for (int m = 0; m < rows; ++m) narrow(from + m * stride, count, words + m * step);
+  static HWY_INLINE RowRange narrow_rows(const float* from, int count, float* words) {
+    narrow(from, count, words);
     return {};
   }
 

@@ -106,13 +106,9 @@ struct Float16Operand {
     }
   }
 
-  static HWY_INLINE RowRange narrow_rows(const float* from, std::ptrdiff_t stride, int rows,
-                                         int count, float* words) {
-    const PowerOfTwo scale = power_of_two_within(largest_magnitude(from, stride, rows, count));
-    const std::ptrdiff_t step = count / 2;
-    for (int m = 0; m < rows; ++m) {
-      narrow(from + m * stride, count, scale.inverse, words + m * step);
-    }
+  static HWY_INLINE RowRange narrow_rows(const float* from, int count, float* words) {
+    const PowerOfTwo scale = power_of_two_within(largest_magnitude(from, 0, 1, count));
+    narrow(from, count, scale.inverse, words);
     return {0, scale.value};
   }
 

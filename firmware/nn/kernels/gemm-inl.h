@@ -248,7 +248,8 @@ HWY_INLINE RowOutput rows_from(RowOutput o, std::ptrdiff_t row) {
   return o;
 }
 
-// The same of rows of floats in one run, made narrow some at a time: whole ranges of them.
+// The same of rows of floats in one run, side by side, made narrow some at a time: whole ranges of
+// them.
 template <class Operand>
 HWY_NOINLINE void multiply_narrowed(const RowInput& a, const PackedMatrix& b, const RowOutput& o) {
   constexpr int kMostRows = 128;
@@ -262,7 +263,7 @@ HWY_NOINLINE void multiply_narrowed(const RowInput& a, const PackedMatrix& b, co
     for (int m = 0; m < rows; m += kRowsOfRange) {
       const int together = rows - m < kRowsOfRange ? rows - m : kRowsOfRange;
       ranges[m / kRowsOfRange] =
-          Operand::narrow_rows(a.run[0] + (row + m) * a.stride, a.stride, together, b.depth,
+          Operand::narrow_rows(a.run[0] + (row + m) * a.stride, together * b.depth,
                                words + static_cast<std::ptrdiff_t>(m) * row_words);
     }
     const Words narrow = {{{words}, 1, row_words, row_words, rows}, ranges};

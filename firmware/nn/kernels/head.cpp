@@ -2,14 +2,14 @@
 
 #include <algorithm>
 #include <cstring>
-
-#include "firmware/nn/network_config.h"
+#include <type_traits>
 
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/head.cpp"
 #include "firmware/nn/kernels/simd.h"
 #include "hwy/foreach_target.h"
+#include "hwy/cache_control.h"
 #include "hwy/highway.h"
 #include "firmware/nn/kernels/math-inl.h"
 #include "firmware/nn/kernels/own_rows.h"
@@ -19,75 +19,41 @@ HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
 
-// condition-free input of conv1 at one pixel: time + embed(state); zero beyond the image.
-HWY_INLINE void fused_pixel(const HeadStep& s, int y, int x, float* out) {
-  const auto channels = static_cast<std::size_t>(s.channels);
-  const bool outside = y < 0 || y >= s.height || x < 0 || x >= s.width;
-  float state[9] = {};
-  for (int t = 0; t < 9 && s.state != nullptr; ++t) {
-    const int sy = y + t / 3 - 1;
-    const int sx = x + t % 3 - 1;
-    if (sy < 0 || sy >= s.height || sx < 0 || sx >= s.width) continue;
-    state[t] = s.state[static_cast<std::size_t>(sy) * s.width + sx];
-  }
-  for_channels(channels, [&](auto d, std::size_t c) HWY_ATTR {
-    auto sum = hn::LoadU(d, s.time + c);
-    LCDM_UNROLL for (std::size_t t = 0; t < 9; ++t) {
-      sum = hn::MulAdd(hn::Set(d, state[t]), hn::LoadU(d, s.embed + t * channels + c), sum);
-    }
-    hn::StoreU(outside ? hn::Zero(d) : sum, d, out + c);
-  });
-}
+// Floats from those of `shared` that are used to those that are fetched: 6 KB. Larger pictures'
+// come from memory, and are not asked for early enough otherwise.
+constexpr std::size_t kAhead = 1536;
 
-// The hidden layer at one pixel near the border, tap by tap.
-HWY_INLINE void border_hidden(const HeadStep& s, int y, int x, float* out) {
-  const auto channels = static_cast<std::size_t>(s.channels);
-  float fused[9 * ModelConfig::kMaxChannels];
-  for (int t = 0; t < 9; ++t) {
-    fused_pixel(s, y + t / 3 - 1, x + t % 3 - 1, fused + t * channels);
-  }
-  const float* shared = s.shared + (static_cast<std::size_t>(y) * s.width + x) * channels;
-  for_channels(channels, [&](auto d, std::size_t c) HWY_ATTR {
-    using V = decltype(hn::Zero(d));
-    V sum[4] = {hn::LoadU(d, shared + c), hn::Zero(d), hn::Zero(d), hn::Zero(d)};
-    for (std::size_t k = 0; k < 9 * channels; k += 4) {  // channels are a multiple of 4
-      LCDM_UNROLL for (std::size_t i = 0; i < 4; ++i) {
-        const V w = hn::LoadU(d, s.conv1 + (k + i) * channels + c);
-        sum[i] = hn::MulAdd(hn::Set(d, fused[k + i]), w, sum[i]);
-      }
-    }
-    const V all = hn::Add(hn::Add(sum[0], sum[1]), hn::Add(sum[2], sum[3]));
-    const V h = hn::MulAdd(hn::LoadU(d, s.scale + c), all, hn::LoadU(d, s.bias + c));
-    hn::StoreU(s.relu ? hn::Max(h, hn::Zero(d)) : h, d, out + c);
-  });
-}
-
-// kPixels neighbours that no tap of conv1 looks beyond the image from; rows of the state beyond it
-// have no part.
-template <std::size_t kPixels>
-HWY_INLINE void inner_hidden(const HeadStep& s, int y, int x, float* out, std::size_t pitch) {
+// kPixels neighbours of one place; what of the state is beyond the image has no part. kClipped: a
+// pixel from which columns of it are.
+template <std::size_t kPixels, bool kClipped>
+HWY_INLINE void hidden_pixels(const HeadStep& s, int y, int x, std::size_t place, float* out,
+                              std::size_t pitch) {
   const auto channels = static_cast<std::size_t>(s.channels);
   const auto width = static_cast<std::size_t>(s.width);
   const std::size_t at = static_cast<std::size_t>(y) * width + static_cast<std::size_t>(x);
   const float* shared = s.shared + at * channels;
+  const float* composed = s.composed + place * 25 * channels;
+  const int first_row = std::max(y - 2, 0);
+  const int last_row = std::min(y + 2, s.height - 1);
+  const int first_column = kClipped ? std::max(2 - x, 0) : 0;
+  const int end_column = kClipped ? std::min(s.width + 2 - x, 5) : 5;
   for_channels(channels, [&](auto d, std::size_t c) HWY_ATTR {
     using V = decltype(hn::Zero(d));
     const V scale = hn::LoadU(d, s.scale + c);
-    const V constant = hn::LoadU(d, s.constant + c);
+    const V constant = hn::LoadU(d, s.constant + place * channels + c);
     V h[kPixels];
     LCDM_UNROLL for (std::size_t i = 0; i < kPixels; ++i) {
-      h[i] = hn::MulAdd(scale, hn::LoadU(d, shared + i * channels + c), constant);
+      const float* from = shared + i * channels + c;
+      hwy::Prefetch(from + kAhead);
+      h[i] = hn::MulAdd(scale, hn::LoadU(d, from), constant);
     }
-    if (s.state != nullptr) {
-      const int last = std::min(y + 2, s.height - 1);
-      for (int row = std::max(y - 2, 0); row <= last; ++row) {
-        const float* from = s.state + static_cast<std::size_t>(row) * width + x - 2;
-        const float* taps = s.composed + static_cast<std::size_t>(5 * (row - y + 2)) * channels;
-        LCDM_UNROLL for (std::size_t kx = 0; kx < 5; ++kx) {
-          const V w = hn::LoadU(d, taps + kx * channels + c);
-          LCDM_UNROLL for (std::size_t i = 0; i < kPixels; ++i) {
-            h[i] = hn::MulAdd(hn::Set(d, from[i + kx]), w, h[i]);
-          }
+    for (int row = first_row; row <= last_row && s.state != nullptr; ++row) {
+      const float* state = s.state + static_cast<std::size_t>(row) * width;
+      const float* taps = composed + static_cast<std::size_t>(5 * (row - y + 2)) * channels + c;
+      LCDM_UNROLL for (int kx = first_column; kx < end_column; ++kx) {
+        const V w = hn::LoadU(d, taps + static_cast<std::size_t>(kx) * channels);
+        LCDM_UNROLL for (std::size_t i = 0; i < kPixels; ++i) {
+          h[i] = hn::MulAdd(hn::Set(d, state[x - 2 + kx + static_cast<int>(i)]), w, h[i]);
         }
       }
     }
@@ -97,20 +63,29 @@ HWY_INLINE void inner_hidden(const HeadStep& s, int y, int x, float* out, std::s
   });
 }
 
+HWY_INLINE std::size_t place_along(int at, int size) {
+  if (at == 0) return 0;
+  return at == size - 1 ? 2 : 1;
+}
+
 // Row y of the hidden layer, `pitch` floats from pixel to pixel.
 HWY_INLINE void hidden_row(const HeadStep& s, int y, float* out, std::size_t pitch) {
   constexpr int kBorder = 2;
   constexpr int kPixels = 8;  // sums enough to hide the latency of 25 in a row
+  const std::size_t row = 3 * place_along(y, s.height);
+  const auto clipped = [&](int x) HWY_ATTR {
+    hidden_pixels<1, true>(s, y, x, row + place_along(x, s.width), out + x * pitch, pitch);
+  };
+  const auto inner = [&](auto pixels, int x) HWY_ATTR {
+    hidden_pixels<decltype(pixels)::value, false>(s, y, x, row + 1, out + x * pitch, pitch);
+  };
   int x = 0;
-  if (y > 0 && y < s.height - 1) {
-    for (; x < kBorder && x < s.width; ++x) border_hidden(s, y, x, out + x * pitch);
-    for (; x + kPixels <= s.width - kBorder; x += kPixels) {
-      inner_hidden<kPixels>(s, y, x, out + x * pitch, pitch);
-    }
-    for (; x + 4 <= s.width - kBorder; x += 4) inner_hidden<4>(s, y, x, out + x * pitch, pitch);
-    for (; x < s.width - kBorder; ++x) inner_hidden<1>(s, y, x, out + x * pitch, pitch);
+  for (; x < kBorder && x < s.width; ++x) clipped(x);
+  for (; x + kPixels <= s.width - kBorder; x += kPixels) {
+    inner(std::integral_constant<std::size_t, kPixels>(), x);
   }
-  for (; x < s.width; ++x) border_hidden(s, y, x, out + x * pitch);
+  for (; x + 4 <= s.width - kBorder; x += 4) inner(std::integral_constant<std::size_t, 4>(), x);
+  for (; x < s.width; ++x) clipped(x);
 }
 
 void hidden_rows(const HeadStep& s, int begin, int end) {

@@ -3,31 +3,34 @@
 //
 // conv1(condition + time + embed(state)) = conv1(condition) + conv1(time) + conv1(embed(state)):
 // the first is the same for all steps and computed once; the last two are a constant and a 5x5
-// convolution of a single channel. Both convolutions pad with zeros, so in the first and
-// last row, and within two pixels of the sides, the sum is made tap by tap.
+// convolution of a single channel. Both convolutions pad with zeros: what conv1 does not see beyond
+// the border is missing from constant and taps of the pixels there, which so have their own.
 #pragma once
 
 #include <cstddef>
 
 namespace lcdm::kernels {
 
+// Where a pixel is, 3 * row + column: 0 in the first one, 2 in the last, 1 between.
+inline constexpr int kHeadPlaces = 9;
+// Whether conv1's tap 3 * ky + kx sees the image from there.
+constexpr bool head_tap_sees(std::size_t place, std::size_t tap) {
+  const auto sees = [](std::size_t at, std::size_t k) { return at == 1 || k != at; };
+  return sees(place / 3, tap / 3) && sees(place % 3, tap % 3);
+}
+
 // What a sampler step's hidden layer is made of. Borrowed pointers; C = channels.
 struct HeadStep {
   const float* shared = nullptr;  // conv1(condition) without bias, [height, width, C]
   const float* state = nullptr;   // [height, width]; null: zero everywhere
-  int height = 0;
+  int height = 0;                 // at least 2, as the width
   int width = 0;
   int channels = 0;
   const float* scale = nullptr;     // [C]: the folded norm's factor
-  const float* composed = nullptr;  // [25, C]: scale * conv1(embed(.)) away from the border
-  const float* constant = nullptr;  // [C]: bias + scale * conv1(time) away from the border
-  const float* bias = nullptr;      // [C]: of conv1 and the folded norm
-  // For the border.
-  const float* embed = nullptr;  // [9, C]
-  const float* time = nullptr;   // [C]: embed's bias and the time's embedding
-  const float* conv1 = nullptr;  // [9, C in, C out]
-  bool relu = true;              // false: a norm follows
-  float* hidden = nullptr;       // [height, width, C]; null where nobody reads it
+  const float* composed = nullptr;  // [kHeadPlaces, 25, C]: scale * conv1(embed(.))
+  const float* constant = nullptr;  // [kHeadPlaces, C]: bias + scale * conv1(time)
+  bool relu = true;                 // false: a norm follows
+  float* hidden = nullptr;          // [height, width, C]; null where nobody reads it
 };
 
 // Computes rows [begin, end) of step.hidden.

@@ -52,19 +52,16 @@ struct Int8Operand {
 #endif
   }
 
-  // `count` numbers of each row, a multiple of 4, into count / 4 words. The rows share the range
-  // that is returned.
-  static HWY_INLINE RowRange narrow_rows(const float* from, std::ptrdiff_t stride, int rows,
-                                         int count, float* words) {
-    const RowRange range = range_of(from, stride, rows, static_cast<std::size_t>(count));
+  // `count` numbers, a multiple of 4, into count / 4 words of the range that is returned.
+  static HWY_INLINE RowRange narrow_rows(const float* from, int count, float* words) {
+    const auto numbers = static_cast<std::size_t>(count);
+    const RowRange range = range_of(from, numbers);
     const float inverse = range.scale > 0 ? 1.0F / range.scale : 0.0F;
     auto* bytes = reinterpret_cast<std::uint8_t*>(words);
-    for (int m = 0; m < rows; ++m, from += stride, bytes += count) {
-      for_channels(static_cast<std::size_t>(count), [&](auto d, std::size_t i) HWY_ATTR {
-        const auto above = hn::Sub(hn::LoadU(d, from + i), hn::Set(d, range.low));
-        store_bytes(d, hn::Mul(above, hn::Set(d, inverse)), bytes + i);
-      });
-    }
+    for_channels(numbers, [&](auto d, std::size_t i) HWY_ATTR {
+      const auto above = hn::Sub(hn::LoadU(d, from + i), hn::Set(d, range.low));
+      store_bytes(d, hn::Mul(above, hn::Set(d, inverse)), bytes + i);
+    });
     return {range.low + static_cast<float>(kTurned) * range.scale, range.scale};
   }
 
@@ -88,33 +85,24 @@ struct Int8Operand {
   }
 
   // Two chains of minima and maxima, whose latency is otherwise what they cost.
-  static HWY_INLINE RowRange range_of(const float* from, std::ptrdiff_t stride, int rows,
-                                      std::size_t count) {
+  static HWY_INLINE RowRange range_of(const float* from, std::size_t count) {
     const FullTag d;
     FullVec low = hn::Set(d, from[0]);
     FullVec high = low;
     FullVec low2 = low;
     FullVec high2 = low;
-    for (int m = 0; m < rows; ++m, from += stride) {
-      std::size_t i = 0;
-      for (; i + 2 * kLanes <= count; i += 2 * kLanes) {
-        const FullVec v = hn::LoadU(d, from + i);
-        const FullVec v2 = hn::LoadU(d, from + i + kLanes);
-        low = hn::Min(low, v);
-        high = hn::Max(high, v);
-        low2 = hn::Min(low2, v2);
-        high2 = hn::Max(high2, v2);
-      }
-      if (i + kLanes <= count) {
-        const FullVec v = hn::LoadU(d, from + i);
-        low = hn::Min(low, v);
-        high = hn::Max(high, v);
-        i += kLanes;
-      }
-      for (; i < count; ++i) {
-        low2 = hn::Min(low2, hn::Set(d, from[i]));
-        high2 = hn::Max(high2, hn::Set(d, from[i]));
-      }
+    std::size_t i = 0;
+    for (; i + 2 * kLanes <= count; i += 2 * kLanes) {
+      const FullVec v = hn::LoadU(d, from + i);
+      const FullVec v2 = hn::LoadU(d, from + i + kLanes);
+      low = hn::Min(low, v);
+      high = hn::Max(high, v);
+      low2 = hn::Min(low2, v2);
+      high2 = hn::Max(high2, v2);
+    }
+    for (; i < count; ++i) {
+      low = hn::Min(low, hn::Set(d, from[i]));
+      high = hn::Max(high, hn::Set(d, from[i]));
     }
     low = hn::Min(low, low2);
     high = hn::Max(high, high2);

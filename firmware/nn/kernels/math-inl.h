@@ -42,6 +42,23 @@ HWY_INLINE V exp_approx(D d, V x) {
   return hn::BitCast(d, hn::Add(hn::BitCast(di, p), hn::ShiftLeft<23>(hn::BitCast(di, shifted))));
 }
 
+// 2^x within 3e-7 relative for x up to 0, clamped below -126. As above, without log(2): the same
+// polynomial of x - n, its coefficients times the powers of log(2).
+template <class D, class V>
+HWY_INLINE V exp2_approx(D d, V x) {
+  const hn::RebindToSigned<D> di;
+  const auto magic = hn::Set(d, 12582912.0F);
+  x = hn::Max(x, hn::Set(d, -126.0F));
+  const V shifted = hn::Add(x, magic);
+  const V r = hn::Sub(x, hn::Sub(shifted, magic));
+  V p = hn::MulAdd(hn::Set(d, 1.326472857e-03F), r, hn::Set(d, 9.671514314e-03F));
+  p = hn::MulAdd(p, r, hn::Set(d, 5.550733755e-02F));
+  p = hn::MulAdd(p, r, hn::Set(d, 2.402224206e-01F));
+  p = hn::MulAdd(p, r, hn::Set(d, 6.931469776e-01F));
+  p = hn::MulAdd(p, r, hn::Set(d, 1.0F));
+  return hn::BitCast(d, hn::Add(hn::BitCast(di, p), hn::ShiftLeft<23>(hn::BitCast(di, shifted))));
+}
+
 // 1 / x for positive x, within 2e-7 relative.
 template <class D, class V>
 HWY_INLINE V reciprocal(D d, V x) {

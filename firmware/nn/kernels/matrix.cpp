@@ -63,7 +63,7 @@ void rows_of_words(const NarrowInput& a, const PackedMatrix& b, const RowOutput&
 RowRange words_of_row(const float* from, int count, Precision precision, float* words) {
   RowRange range;
   with_narrow_operand(precision, [&](auto operand) HWY_ATTR {
-    range = decltype(operand)::narrow_rows(from, 0, 1, count, words);
+    range = decltype(operand)::narrow_rows(from, count, words);
   });
   return range;
 }
@@ -269,7 +269,7 @@ PackedMatrix pack_matrix(int depth, int columns, const Weight& weight, std::span
 
 void multiply_rows(const RowInput& a, const PackedMatrix& b, const RowOutput& out) {
   LCDM_CHECK(a.runs * a.run_length == b.depth);
-  LCDM_CHECK(a.runs == 1 || b.precision == Precision::kFloat32);
+  LCDM_CHECK(b.precision == Precision::kFloat32 || (a.runs == 1 && a.stride == b.depth));
   HWY_DYNAMIC_DISPATCH(rows_of_floats)(a, b, out);
 }
 

@@ -109,7 +109,8 @@ struct RowOutput {
 };
 
 // out = activation(a * b + bias + residual), over all rows of `a`. Where the matrix is narrow, rows
-// of one run are made so on the way, kRowsOfRange at a time: results depend on which those are.
+// of one run, side by side, are made so on the way, kRowsOfRange at a time: results depend on which
+// those are.
 void multiply_rows(const RowInput& a, const PackedMatrix& b, const RowOutput& out);
 
 // `count` numbers as words; whole ones.

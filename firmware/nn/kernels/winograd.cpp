@@ -51,6 +51,14 @@ HWY_INLINE void transform_output(D d, const V (&m)[kPatch], V (&out)[kTile]) {
   out[3] = hn::Add(hn::MulAdd(hn::Set(d, 8.0F), diff2, diff1), m[5]);
 }
 
+// Floats from one product's rows to the next one's, for `tiles` rows of `columns`: an odd number of
+// cache lines, so that what a tile has in all products lies in different sets of the first cache.
+// Widths that are powers of two would have them all in one.
+HWY_INLINE std::size_t product_pitch(std::size_t tiles, std::size_t columns) {
+  constexpr std::size_t kLine = 64 / sizeof(float);
+  return ((tiles * columns + kLine - 1) / kLine | 1) * kLine;
+}
+
 // Some strips of tiles at a time: their input rows, the patches and the products.
 class Batch {
  public:
@@ -60,11 +68,13 @@ class Batch {
         channels_(static_cast<std::size_t>(conv_.channels)),
         columns_(static_cast<std::size_t>(conv_.weights.columns)),
         across_(tiles_across(conv_)),
-        strips_(strips_of(conv_)) {
+        strips_(strips_of(conv_)),
+        patch_pitch_(product_pitch(strips_ * across_, channels_)),
+        product_pitch_(product_pitch(strips_ * across_, columns_)) {
     rows_ = scratch;
     patches_ = rows_ + (kTile * strips_ + 2) * row_floats();
-    products_ = patches_ + kWinogradProducts * tiles() * channels_;
-    shares_ = products_ + kWinogradProducts * tiles() * columns_;
+    products_ = patches_ + kWinogradProducts * patch_pitch_;
+    shares_ = products_ + kWinogradProducts * product_pitch_;
     float* rest = shares_;
     if (conv_.upsampled.data != nullptr) {
       rest += kTile * strips_ * out_floats();
@@ -96,14 +106,14 @@ class Batch {
       const float* panels = w_.panels + f * step;
       const PackedMatrix matrix = {panels, panels + step - padded_columns(), conv_.channels,
                                    conv_.weights.columns};
-      const RowInput patches = {{patches_ + f * tiles() * channels_},
+      const RowInput patches = {{patches_ + f * patch_pitch_},
                                 1,
                                 conv_.channels,
                                 conv_.channels,
                                 static_cast<int>(count)};
       multiply_rows(
           patches, matrix,
-          {products_ + f * tiles() * columns_, nullptr, conv_.weights.columns, Activation::kNone});
+          {products_ + f * product_pitch_, nullptr, conv_.weights.columns, Activation::kNone});
     }
     with_activation(conv_.activation, [&](auto kind) HWY_ATTR {
       for (std::size_t s = 0; s < strips; ++s) {
@@ -124,7 +134,6 @@ class Batch {
   }
 
  private:
-  std::size_t tiles() const { return strips_ * across_; }
   std::size_t row_floats() const { return (kTile * across_ + 2) * channels_; }
   std::size_t out_floats() const { return static_cast<std::size_t>(conv_.width) * columns_; }
   std::size_t padded_columns() const { return (columns_ + kLanes - 1) / kLanes * kLanes; }
@@ -149,7 +158,6 @@ class Batch {
   HWY_INLINE void take_apart(std::size_t s, std::size_t t) {
     const float* from = rows_ + kTile * s * row_floats() + kTile * t * channels_;
     float* to = patches_ + (s * across_ + t) * channels_;
-    const std::size_t step = tiles() * channels_;
     for_channels(channels_, [&](auto d, std::size_t c) HWY_ATTR {
       using V = decltype(hn::Zero(d));
       V half[kPatch][kPatch];  // rows transformed; [column][row]
@@ -166,7 +174,7 @@ class Batch {
         V out[kPatch];
         transform_input(d, half[x], out);
         LCDM_UNROLL for (std::size_t y = 0; y < kPatch; ++y) {
-          hn::StoreU(out[y], d, to + (kPatch * y + x) * step + c);
+          hn::StoreU(out[y], d, to + (kPatch * y + x) * patch_pitch_ + c);
         }
       }
     });
@@ -176,7 +184,6 @@ class Batch {
   template <Activation kActivation>
   HWY_INLINE void put_together(int y, int end, std::size_t s, std::size_t t) {
     const float* from = products_ + (s * across_ + t) * columns_;
-    const std::size_t step = tiles() * columns_;
     const auto first_row = static_cast<std::size_t>(y) + kTile * s;
     const std::size_t rows = std::min(kTile, static_cast<std::size_t>(end) - first_row);
     const std::size_t pixels = std::min(kTile, static_cast<std::size_t>(conv_.width) - kTile * t);
@@ -187,7 +194,7 @@ class Batch {
         V m[kPatch];
         V out[kTile];
         LCDM_UNROLL for (std::size_t i = 0; i < kPatch; ++i) {
-          m[i] = hn::LoadU(d, from + (kPatch * i + x) * step + c);
+          m[i] = hn::LoadU(d, from + (kPatch * i + x) * product_pitch_ + c);
         }
         transform_output(d, m, out);
         LCDM_UNROLL for (std::size_t i = 0; i < kTile; ++i) half[i][x] = out[i];
@@ -216,10 +223,12 @@ class Batch {
   std::size_t columns_;
   std::size_t across_;  // tiles of a strip
   std::size_t strips_;  // of a batch
-  float* rows_;         // padded input rows
-  float* patches_;      // [product, tile, channels]
-  float* products_;     // [product, tile, columns]
-  float* shares_;       // rows of the upsampled share
+  std::size_t patch_pitch_;
+  std::size_t product_pitch_;
+  float* rows_;      // padded input rows
+  float* patches_;   // [product, tile, channels], patch_pitch_ from product to product
+  float* products_;  // [product, tile, columns], product_pitch_ alike
+  float* shares_;    // rows of the upsampled share
   UpsampledRows upsampled_;
   ChainRows before_;
   int loaded_ = -1;  // the row after the last one in rows_
@@ -242,7 +251,9 @@ std::size_t scratch_floats(const WinogradConv& winograd) {
   const std::size_t shares =
       has_share ? kTile * strips * static_cast<std::size_t>(conv.width) * columns : 0;
   return (kTile * strips + 2) * (kTile * across + 2) * channels +
-         kWinogradProducts * strips * across * (channels + columns) + shares;
+         kWinogradProducts *
+             (product_pitch(strips * across, channels) + product_pitch(strips * across, columns)) +
+         shares;
 }
 
 }  // namespace HWY_NAMESPACE
