@@ -7,9 +7,9 @@
 
 namespace lcdm::model {
 
-void Divergence::add(double loss, float part) {
-  if (part != part_) *this = {};
-  part_ = part;
+void Divergence::add(double loss, Phase phase) {
+  if (phase != phase_) *this = {};
+  phase_ = phase;
   recent_.push_back(static_cast<float>(loss));
   if (recent_.size() > kWindow) recent_.pop_front();
   if (recent_.size() < kWindow) return;
@@ -27,13 +27,13 @@ std::string Divergence::text() const {
 }
 
 torch::Tensor Divergence::numbers() const {
-  std::vector<float> all = {part_, mean_, least_};
+  std::vector<float> all = {phase_.number(), mean_, least_};
   all.insert(all.end(), recent_.begin(), recent_.end());
   return torch::tensor(all);
 }
 
 void Divergence::restore(const torch::Tensor& numbers) {
-  part_ = numbers[0].item<float>();
+  phase_ = Phase::from_number(numbers[0].item<float>());
   mean_ = numbers[1].item<float>();
   least_ = numbers[2].item<float>();
   const torch::Tensor recent = numbers.slice(0, 3).contiguous();

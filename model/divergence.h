@@ -6,6 +6,7 @@
 #include <limits>
 #include <string>
 
+#include "model/phase.h"
 #include "model/torch.h"
 
 namespace lcdm::model {
@@ -15,8 +16,8 @@ class Divergence {
   static constexpr std::size_t kWindow = 200;  // steps
   static constexpr double kWorst = 5;
 
-  // Notes the loss of one step. `part` names what the loss is made of: another part begins anew.
-  void add(double loss, float part);
+  // Notes the loss of one step. Another phase begins anew: its losses are other sums.
+  void add(double loss, Phase phase);
   // Whether the mean of the last kWindow losses exceeds kWorst times the least such mean.
   bool found() const;
   // "the mean loss of ... is 3.2, it was 0.4".
@@ -30,7 +31,7 @@ class Divergence {
   std::deque<float> recent_;
   float mean_ = 0;  // of a full window
   float least_ = std::numeric_limits<float>::infinity();
-  float part_ = 0;
+  Phase phase_;
 };
 
 }  // namespace lcdm::model

@@ -19,10 +19,10 @@ TrainedNetworks replica_of(const TrainedNetworks& original) {
 Replicas::Replicas(const TrainedNetworks& original, int workers) {
   networks_.push_back(original);
   while (size() < workers) networks_.push_back(replica_of(original));
-  follow();
+  broadcast_statistics();
 }
 
-void Replicas::follow() {
+void Replicas::broadcast_statistics() {
   const torch::NoGradGuard no_grad;
   const auto statistics = of(0)->named_buffers();
   for (int i = 1; i < size(); ++i) {
@@ -37,7 +37,7 @@ void Replicas::clear_gradients() {
   }
 }
 
-void Replicas::gather() {
+void Replicas::reduce() {
   const torch::NoGradGuard no_grad;
   auto weights = of(0)->named_parameters();
   auto statistics = of(0)->named_buffers();
@@ -59,7 +59,7 @@ void Replicas::gather() {
   }
 }
 
-void gather(TrainedNetworks& networks, Processes& processes, Losses& losses) {
+void all_reduce(TrainedNetworks& networks, Processes& processes, Losses& losses) {
   if (processes.size() == 1) return;
   const torch::NoGradGuard no_grad;
   std::vector<torch::Tensor> own;  // what is summed: gradients, then statistics

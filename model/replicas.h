@@ -20,17 +20,17 @@ class Replicas {
   TrainedNetworks& of(int worker) { return networks_[static_cast<std::size_t>(worker)]; }
   std::vector<TrainedNetworks>& all() { return networks_; }
 
-  // Everybody's statistics and configuration become the original's.
-  void follow();
+  // Everybody's statistics and configuration become the original's; the weights are its own.
+  void broadcast_statistics();
   void clear_gradients();
   // Into the original: all gradients added up, all statistics averaged.
-  void gather();
+  void reduce();
 
  private:
   std::vector<TrainedNetworks> networks_;
 };
 
 // The same over all processes, in each of them the same bytes; and the losses, added up.
-void gather(TrainedNetworks& networks, Processes& processes, Losses& losses);
+void all_reduce(TrainedNetworks& networks, Processes& processes, Losses& losses);
 
 }  // namespace lcdm::model

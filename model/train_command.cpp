@@ -53,7 +53,8 @@ Status start_from(const std::string& path, Trainer& trainer) {
   if (!checkpoint) return checkpoint.status();
   const auto network = *checkpoint ? load_checkpoint(path) : unfold_model(path);
   if (!network) return network.status();
-  return trainer.start_from(*network, *checkpoint ? Known::kYes : Known::kNo);
+  return trainer.start_from(*network,
+                            *checkpoint ? NormStatistics::kKept : NormStatistics::kMissing);
 }
 
 // Weights trained before, or by others, where the options name them.
@@ -141,7 +142,7 @@ class Run {
     const int steps = trainer_.has_head() ? static_cast<int>(trainer_.config().steps.size()) : 0;
     const Validation validation =
         validate(trainer_.averaged(), steps, trainer_.share(), data_, kValidationFrames);
-    const bool better = trainer_.note_score(validation.score);
+    const bool better = trainer_.update_best(validation.score);
     log.add(trainer_, validation, better);
     return better ? trainer_.save((folder_ / "best.safetensors").string()) : Status::ok();
   }

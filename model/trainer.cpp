@@ -99,7 +99,7 @@ void Trainer::spread_weights() {
   std::map<std::string, torch::Tensor> tensors;
   collect(*networks_->depth, "", tensors);
   restore(*average_, "", tensors);
-  replicas_->follow();
+  replicas_->broadcast_statistics();
 }
 
 Status Trainer::measure(torch::nn::Module& part, Answers answers) {
@@ -128,7 +128,7 @@ Status Trainer::measure_new_head() {
   return Status::ok();
 }
 
-Status Trainer::start_from(const DepthNetwork& trained, Known statistics) {
+Status Trainer::start_from(const DepthNetwork& trained, NormStatistics statistics) {
   ModelConfig& config = networks_->depth->config;
   if (!recipe_.start) config.start = trained->config.start;
   if (trained->config.encoder == config.encoder && trained->config.preset == config.preset) {
@@ -141,9 +141,9 @@ Status Trainer::start_from(const DepthNetwork& trained, Known statistics) {
     }
   } else {
     LCDM_RETURN_IF_ERROR(widen(trained, networks_->depth));
-    statistics = Known::kNo;
+    statistics = NormStatistics::kMissing;
   }
-  if (statistics == Known::kNo) {
+  if (statistics == NormStatistics::kMissing) {
     LCDM_RETURN_IF_ERROR(measure(*networks_->depth, Answers::kKeep));
   }
   config.licence = trained->config.licence;
@@ -220,14 +220,10 @@ Status Trainer::set_licence(const std::string& licence) {
   return config_json(config()).status();
 }
 
-float Trainer::part() const {
-  return static_cast<float>(stage_at(recipe_, step_)) + (has_head() ? 0.5F : 0);
-}
-
-bool Trainer::note_score(double score) {
-  if (part() == best_part_ && !(static_cast<float>(score) < best_)) return false;
+bool Trainer::update_best(double score) {
+  if (phase() == best_phase_ && !(static_cast<float>(score) < best_)) return false;
   best_ = static_cast<float>(score);
-  best_part_ = part();
+  best_phase_ = phase();
   return true;
 }
 
@@ -322,11 +318,11 @@ Result<Losses> Trainer::advance() {
     images += batch->rgb.size(0);
     losses.add(run_batch(*batch, k));
   }
-  replicas_->gather();
-  gather(networks_, *compute_.processes, losses);
-  replicas_->follow();
+  replicas_->reduce();
+  all_reduce(networks_, *compute_.processes, losses);
+  replicas_->broadcast_statistics();
   if (!std::isfinite(losses.total.item<double>())) return not_finite(losses, step_);
-  divergence_.add(losses.total.item<double>(), part());
+  divergence_.add(losses.total.item<double>(), phase());
   if (divergence_.found()) return diverged(divergence_, step_);
   if (const double norm = optimizer_->clip(recipe_.clip); !std::isfinite(norm)) {
     return Status::error(StatusCode::kCorrupt,
@@ -348,7 +344,7 @@ Status Trainer::save(const std::string& path) const {
   collect(*average_, "average.", file.tensors);
   optimizer_->save(file.tensors);
   file.tensors["trainer.step"] = torch::tensor({step_, images_}, torch::kLong);
-  file.tensors["trainer.best"] = torch::tensor({best_, best_part_});
+  file.tensors["trainer.best"] = torch::tensor({best_, best_phase_.number()});
   file.tensors["trainer.divergence"] = divergence_.numbers();
   const Result<std::string> config = config_json(this->config());
   if (!config) return config.status();
@@ -377,11 +373,11 @@ Status Trainer::resume(const std::string& path) {
   }
   networks_->depth->config = *config;
   average_->config = *config;
-  replicas_->follow();
+  replicas_->broadcast_statistics();
   step_ = step->second[0].item<std::int64_t>();
   images_ = step->second[1].item<std::int64_t>();
   best_ = best->second[0].item<float>();
-  best_part_ = best->second[1].item<float>();
+  best_phase_ = Phase::from_number(best->second[1].item<float>());
   const auto divergence = tensors.find("trainer.divergence");
   if (divergence != tensors.end()) divergence_.restore(divergence->second);
   loader_.reset();

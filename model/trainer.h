@@ -12,6 +12,7 @@
 #include "model/batch.h"
 #include "model/divergence.h"
 #include "model/losses.h"
+#include "model/phase.h"
 #include "model/processes.h"
 #include "model/recipe.h"
 #include "model/replicas.h"
@@ -20,8 +21,8 @@
 
 namespace lcdm::model {
 
-// Whether trained weights have their batch norms' statistics still: a model file's have not.
-enum class Known : std::uint8_t { kYes, kNo };
+// Of trained weights' batch norms: a model file's have been folded away.
+enum class NormStatistics : std::uint8_t { kKept, kMissing };
 
 // Where training happens.
 struct Compute {
@@ -62,10 +63,10 @@ class Trainer {
 
   // Starts the depth network from weights trained before, also of a smaller encoder (widener.h);
   // before the first step. Their licence comes with them, and their sampler's start where the
-  // recipe names none; with `Known::kNo`, and in a wider network, the batch norms' statistics are
+  // recipe names none; with `kMissing`, and in a wider network, the batch norms' statistics are
   // measured on the first samples. kInvalidInput: another preset or shape, a larger encoder; errors
   // as make_batch.
-  Status start_from(const DepthNetwork& trained, Known statistics);
+  Status start_from(const DepthNetwork& trained, NormStatistics statistics);
   // Starts encoder or pose network from others' weights; before the first step. The encoder's
   // statistics are measured: theirs are of pictures scaled in another way. Errors as
   // weight_import.h and make_batch; kUsage where there is no pose network.
@@ -76,7 +77,7 @@ class Trainer {
   double share() const { return recipe_.stages[stage_at(recipe_, step_)].share; }
   // Remembers the best validation score (lower is better), over checkpoints too. Whether it is the
   // best so far of the networks with as much of a head and of this size.
-  bool note_score(double score);
+  bool update_best(double score);
 
   // The averaged weights, in evaluation mode.
   DepthNetwork& averaged() { return average_; }
@@ -96,8 +97,7 @@ class Trainer {
           const ModelConfig& config);
 
   bool past(double share) const;
-  // What losses and scores can be compared within: the stage, with or without the head.
-  float part() const;
+  Phase phase() const { return {stage_at(recipe_, step_), has_head()}; }
   // The batch-norm statistics of `part` of the depth network, on samples of the present stage.
   Status measure(torch::nn::Module& part, Answers answers);
   // The head's, where it joins after statistics are frozen, so that nothing has gone through it, or
@@ -129,7 +129,7 @@ class Trainer {
   Status why_unreadable_;
   Divergence divergence_;
   float best_ = std::numeric_limits<float>::infinity();  // score
-  float best_part_ = 0;                                  // the part of the training it is of
+  Phase best_phase_;                                     // that it is of
 };
 
 }  // namespace lcdm::model

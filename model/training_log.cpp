@@ -52,7 +52,7 @@ TrainingLog::~TrainingLog() {
 void TrainingLog::add(const Trainer& trainer, const Losses& losses) {
   for (std::size_t i = 0; i < sums_.size(); ++i) sums_[i] += losses.terms[i];
   ++count_;
-  if (trainer.step() % kLines != 0 && !trainer.done()) return;
+  if (trainer.step() % kStepsPerLine != 0 && !trainer.done()) return;
   print(trainer);
   sums_ = {};
   count_ = 0;

@@ -14,10 +14,10 @@
 namespace lcdm::model {
 
 // Means of the losses since the last line, the rate and the time left: redrawn in place on a
-// terminal, one line per `kLines` steps otherwise, and one row of the curve.
+// terminal, one line per `kStepsPerLine` otherwise, and one row of the curve.
 class TrainingLog {
  public:
-  static constexpr std::int64_t kLines = 25;
+  static constexpr std::int64_t kStepsPerLine = 25;
 
   // Goes on with the folder's files, whose rows past step `first` are dropped; of `total` steps.
   TrainingLog(const std::filesystem::path& folder, std::int64_t first, std::int64_t total);

@@ -95,7 +95,7 @@ void expect_exact_resume(double freeze_from) {
   recipe.freeze_from = freeze_from;
   const auto straight = trainer_of(recipe);
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(straight->advance());
-  EXPECT_TRUE(straight->note_score(0.5));
+  EXPECT_TRUE(straight->update_best(0.5));
   ASSERT_TRUE(straight->save(path));
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(straight->advance());
 
@@ -103,7 +103,7 @@ void expect_exact_resume(double freeze_from) {
   const Status status = resumed->resume(path);
   ASSERT_TRUE(status) << status.text();
   EXPECT_EQ(resumed->step(), 3);
-  EXPECT_FALSE(resumed->note_score(0.6)) << "the best score is part of the checkpoint";
+  EXPECT_FALSE(resumed->update_best(0.6)) << "the best score is part of the checkpoint";
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(resumed->advance());
   EXPECT_TRUE(resumed->done());
   const auto wanted = state_of(*straight);
@@ -261,28 +261,30 @@ TEST(Trainer, StartsFromTrainedWeights) {
   recipe.seed = 2;
   const auto second = trainer_of(recipe);
   EXPECT_FALSE(same_weights(*first, *second));
-  ASSERT_TRUE(second->start_from(first->averaged(), Known::kYes));
+  ASSERT_TRUE(second->start_from(first->averaged(), NormStatistics::kKept));
   EXPECT_TRUE(same_weights(*first, *second));
   EXPECT_EQ(second->step(), 0);
   EXPECT_EQ(second->config().variable_mean, first->config().variable_mean);
   ModelConfig wider = first->config();
   wider.decoder_widths[0] *= 2;
-  EXPECT_EQ(second->start_from(DepthNetwork(wider), Known::kYes).code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(second->start_from(DepthNetwork(wider), NormStatistics::kKept).code(),
+            StatusCode::kInvalidInput);
   EXPECT_EQ(second->config().start, StartKind::kNoise);
   DepthNetwork from_zeros(first->config());
   from_zeros->config.start = StartKind::kZeros;
-  ASSERT_TRUE(second->start_from(from_zeros, Known::kYes));
+  ASSERT_TRUE(second->start_from(from_zeros, NormStatistics::kKept));
   EXPECT_EQ(second->config().start, StartKind::kZeros) << "the weights learnt to start there";
   EXPECT_EQ(second->averaged()->config.start, StartKind::kZeros);
   recipe.start = StartKind::kNoise;
   const auto told = trainer_of(recipe);
-  ASSERT_TRUE(told->start_from(from_zeros, Known::kYes));
+  ASSERT_TRUE(told->start_from(from_zeros, NormStatistics::kKept));
   EXPECT_EQ(told->config().start, StartKind::kNoise) << "who says so gets it";
   recipe.encoder = EncoderKind::kXs;
   const auto larger = trainer_of(recipe);
-  ASSERT_TRUE(larger->start_from(first->averaged(), Known::kYes));
+  ASSERT_TRUE(larger->start_from(first->averaged(), NormStatistics::kKept));
   EXPECT_TRUE(larger->advance());
-  EXPECT_EQ(second->start_from(larger->averaged(), Known::kYes).code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(second->start_from(larger->averaged(), NormStatistics::kKept).code(),
+            StatusCode::kInvalidInput);
 }
 
 // ImageNet encoders come with statistics of pictures in [0, 1] or of mean 0: what leaves a norm
@@ -322,15 +324,15 @@ TEST(Trainer, SaysWhyItStopsOnNan) {
 // 200 steps of loss 1, then 10 each: the mean of 200 passes 5 once 89 of them are 10.
 TEST(Divergence, IsAMeanFarAboveItsBest) {
   Divergence divergence;
-  for (int i = 0; i < 200; ++i) divergence.add(1, 0);
-  for (int i = 0; i < 88; ++i) divergence.add(10, 0);
+  for (int i = 0; i < 200; ++i) divergence.add(1, {});
+  for (int i = 0; i < 88; ++i) divergence.add(10, {});
   EXPECT_FALSE(divergence.found());
   Divergence resumed;
   resumed.restore(divergence.numbers());
-  resumed.add(10, 0);
+  resumed.add(10, {});
   EXPECT_TRUE(resumed.found());
   EXPECT_NE(resumed.text().find("it was 1"), std::string::npos) << resumed.text();
-  resumed.add(10, 0.5);
+  resumed.add(10, {0, true});
   EXPECT_FALSE(resumed.found()) << "with the head a loss is another sum";
 }
 
@@ -341,7 +343,7 @@ TEST(Trainer, SaysWhyItStopsWhereLossesStayFarAboveTheirBest) {
   ASSERT_TRUE(trainer_of(small_recipe())->save(path));
   TensorFile file = *read_tensors(path);
   Divergence past;
-  for (std::size_t i = 0; i < Divergence::kWindow; ++i) past.add(1e-6, 0.5);
+  for (std::size_t i = 0; i < Divergence::kWindow; ++i) past.add(1e-6, {0, true});
   file.tensors["trainer.divergence"] = past.numbers();
   ASSERT_TRUE(write_tensors(path, file));
   const auto trainer = trainer_of(small_recipe());
