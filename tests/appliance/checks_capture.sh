@@ -92,7 +92,7 @@ start_is_refused() {
     on_guest "systemctl stop lcdm && v4l2-ctl -d /dev/video0 -c $refusal=1 && systemctl start lcdm" >&2 || return
     begin=$EPOCHREALTIME
     within 60 depth_flows >&2 || return
-    echo "$refusal: $(seconds "$(elapsed_ms "$begin")"), $(ladder)" | tee /dev/stderr
+    echo "$refusal: $(seconds "$(elapsed_ms "$begin")"), $(ladder)" | tee -a /dev/stderr
     [[ $(on_guest systemctl show lcdm -p NRestarts --value) == 0 ]] || return
   done
 }
