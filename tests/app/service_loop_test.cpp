@@ -23,7 +23,11 @@ using testing::HasSubstr;
 // Heard as systemd hears it.
 class ServiceLoopTest : public test::InnerServiceTest {
  protected:
-  ServiceLoopTest() { setenv("NOTIFY_SOCKET", systemd_.path().c_str(), 1); }
+  ServiceLoopTest() {
+    setenv("NOTIFY_SOCKET", systemd_.path().c_str(), 1);
+    // What ends the process runs in one of its own, not in a fork of this one's threads.
+    testing::GTEST_FLAG(death_test_style) = "threadsafe";
+  }
   ~ServiceLoopTest() override { unsetenv("NOTIFY_SOCKET"); }
 
   // Runs until the script ends it; gives what it said to the log.

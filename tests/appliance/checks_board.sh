@@ -104,7 +104,8 @@ usb_comes_with_boot() {
   local rc=0
   { within 60 cable_up_since && usb_host_gets_address && within 60 usb_page_answers /; } >&2 || rc=1
   echo "up $(($(cable_up_since) / 1000000)) s after the kernel's first moment, $(on_guest systemctl show lcdm-usb -p NRestarts --value) tries more"
-  on_guest 'systemctl disable --now lcdm-usb && rm /etc/modules-load.d/usb.conf' >&2 || rc=1
+  ((rc == 0)) || on_guest 'networkctl status -a --no-pager; ip -n host -s link; journalctl -b --no-pager -u systemd-networkd -u lcdm-usb -k' >&2
+  on_guest 'systemctl disable --now lcdm-usb && rm /etc/modules-load.d/usb.conf && modprobe -r dummy_hcd' >&2 || rc=1
   return "$rc"
 }
 
