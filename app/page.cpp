@@ -78,6 +78,7 @@ void Page::watch() {
 // With the address that arrived; viewers ask again.
 bool Page::serve_again() {
   heartbeat_.beat(os::monotonic_ns());
+  std::vector<std::string> arrived = missing();
   {
     const std::lock_guard lock(mutex_);
     if (server_) server_->stop();
@@ -86,7 +87,11 @@ bool Page::serve_again() {
     std::fprintf(stderr, "lcdm: warning: %s\n", served.text());
     return false;
   }
-  std::printf("page    %s, with an address that arrived\n", server_->address().c_str());
+  for (const std::string& address : missing()) std::erase(arrived, address);
+  for (const std::string& address : arrived) {
+    std::printf("http.listen: %s is there now\n", address.c_str());
+  }
+  std::printf("page    %s\n", server_->address().c_str());
   std::fflush(stdout);
   return true;
 }
