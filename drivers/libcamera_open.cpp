@@ -147,8 +147,8 @@ Status LibcameraSession::map_buffers() {
 }
 
 // A second plane must begin where the rows of the first end: that is where it is read.
-std::optional<PictureMemory> picture_memory(
-    const std::vector<libcamera::FrameBuffer::Plane>& planes, const FrameFormat& format) {
+std::optional<PictureMemory> picture_memory(std::span<const libcamera::FrameBuffer::Plane> planes,
+                                            const FrameFormat& format) {
   const auto rows_bytes =
       static_cast<std::size_t>(format.stride) * static_cast<std::size_t>(format.height);
   const bool two_planes = format.pixel == PixelFormat::kNv12 || format.pixel == PixelFormat::kNv21;

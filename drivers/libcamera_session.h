@@ -10,6 +10,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -28,8 +29,8 @@ struct PictureMemory {
 };
 
 // Empty: not in one piece that can be read as `format`. Pure.
-std::optional<PictureMemory> picture_memory(
-    const std::vector<libcamera::FrameBuffer::Plane>& planes, const FrameFormat& format);
+std::optional<PictureMemory> picture_memory(std::span<const libcamera::FrameBuffer::Plane> planes,
+                                            const FrameFormat& format);
 
 // The period, in microseconds, that a camera with these frame durations keeps when `wanted_us` is
 // asked for. Pure.
