@@ -94,12 +94,9 @@ gpio_power_off() {
 }
 guest_is_off() { ! kill -0 "$guest_pid" 2>/dev/null; }
 
-# The network over the cable is enabled, with a controller that the next boot brings, and a networkd that
-# then takes longer to start than usb-gadget waits for its address.
-usb_late=/etc/systemd/system/systemd-networkd.service.d/late.conf
+# The network over the cable is enabled, with a controller that the next boot brings.
 usb_is_enabled() {
-  on_guest "printf 'dummy_hcd\ncdc_ncm\n' >/etc/modules-load.d/usb.conf && mkdir -p ${usb_late%/*} &&
-    printf '[Service]\nExecStartPre=/bin/sleep 10\n' >$usb_late && systemctl enable lcdm-usb" >&2
+  on_guest 'printf "dummy_hcd\ncdc_ncm\n" >/etc/modules-load.d/usb.conf && systemctl enable lcdm-usb' >&2
 }
 # The page as shipped answers over the cable after a boot, without anybody's doing. No camera is there yet.
 # Off again afterwards: other checks begin without it.
@@ -107,9 +104,7 @@ usb_comes_with_boot() {
   local rc=0
   { within 60 cable_up_since && usb_host_gets_address && within 60 usb_page_answers /; } >&2 || rc=1
   echo "up $(($(cable_up_since) / 1000000)) s after the kernel's first moment, $(on_guest systemctl show lcdm-usb -p NRestarts --value) tries more"
-  ((rc == 0)) || on_guest 'networkctl status -a --no-pager; ip -n host -s link; journalctl -b --no-pager -u systemd-networkd -u lcdm-usb -k' >&2
-  on_guest "systemctl disable --now lcdm-usb && rm -r /etc/modules-load.d/usb.conf ${usb_late%/*} &&
-    systemctl daemon-reload && modprobe -r dummy_hcd" >&2 || rc=1
+  on_guest 'systemctl disable --now lcdm-usb && rm /etc/modules-load.d/usb.conf' >&2 || rc=1
   return "$rc"
 }
 
