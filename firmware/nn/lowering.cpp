@@ -113,6 +113,15 @@ class Lowering {
 
   // ---- the layers ----
 
+  // Of the 1x1 convolutions whose output, or whose block's, is layer_'s. The first block, at half
+  // the picture's size, gains least from narrow numbers and shifts the depth of whole frames most.
+  // At 1/32 bytes save little too, and at some pictures shift the whole frame by a tenth.
+  Precision narrowest_of_1x1() const {
+    if (2 * layer_.output.width == network_.width()) return Precision::kFloat32;
+    if (32 * layer_.output.width == network_.width()) return Precision::kBfloat16;
+    return Precision::kInt8;
+  }
+
   struct MatrixArgs {
     kernels::RowInput input;
     kernels::PackedMatrix weights;
@@ -123,7 +132,9 @@ class Lowering {
     const int depth = input_shape().channels;
     const int columns = layer_.output.channels;
     MatrixArgs args;
-    LCDM_RETURN_IF_ERROR(weights_.pack_matrix(layer_, depth, args.weights));
+    const Precision narrowest =
+        layer_.kind == LayerKind::kConv ? narrowest_of_1x1() : Precision::kInt8;
+    LCDM_RETURN_IF_ERROR(weights_.pack_matrix(layer_, depth, args.weights, narrowest));
     args.input = {{input()}, 1, depth, depth, layer_.output.height * layer_.output.width};
     args.output = {output_, layer_.residual >= 0 ? data(layer_.residual) : nullptr, columns,
                    layer_.activation};
@@ -174,12 +185,16 @@ class Lowering {
                     kernels::winograd_scratch(args));
   }
 
-  // Bytes only beside an upsampled share, where they cost no accuracy: elsewhere they gained little
-  // and cost most of it. The fewest channels cost some even in halves.
+  // Bytes where they cost little accuracy: beside an upsampled share, to many channels, and in the
+  // head, whose convolution is the largest layer of all. The fewest channels cost some even in
+  // halves.
   Precision precision_of_3x3(const Layer& layer, const kernels::Conv3x3& conv) const {
     if (layer.output.channels < 16) return Precision::kFloat32;
     const bool has_share = conv.upsampled.data != nullptr;
-    const Precision narrowest = has_share ? Precision::kInt8 : Precision::kBfloat16;
+    const bool to_many = layer.output.channels >= 48;
+    const bool in_head = layer.output.width == network_.width() && conv.channels >= 16;
+    const bool bytes = has_share || to_many || in_head;
+    const Precision narrowest = bytes ? Precision::kInt8 : Precision::kBfloat16;
     return weights_.precision_for(9 * conv.channels, narrowest, 3);
   }
 
@@ -225,10 +240,7 @@ class Lowering {
     args.output = output_;
     args.expanded = tensors_[static_cast<std::size_t>(filter.inputs[0].layer)].data();
     args.filtered = tensors_[static_cast<std::size_t>(source(0).layer)].data();
-    // The first block, at half the picture's size, gains least and shifts the depth of whole frames
-    // most.
-    const bool first_block = 2 * layer_.output.width == network_.width();
-    const Precision narrowest = first_block ? Precision::kFloat32 : Precision::kInt8;
+    const Precision narrowest = narrowest_of_1x1();
     LCDM_RETURN_IF_ERROR(weights_.pack_matrix(expand, in.channels, args.expand, narrowest));
     LCDM_RETURN_IF_ERROR(weights_.store_taps(filter.parameters[0], args.taps));
     LCDM_RETURN_IF_ERROR(weights_.store(filter.parameters[1], args.taps_bias));

@@ -1,6 +1,7 @@
 // Narrow products change the depth of pictures by no more than we say.
 #include <cmath>
 #include <gtest/gtest.h>
+#include <string>
 #include <vector>
 
 #include "drivers/scene_render.h"
@@ -13,6 +14,7 @@ constexpr int kWidth = 384;
 constexpr int kHeight = 288;
 
 struct Guard {
+  const char* model;  // a released one
   Precision precision;
   double mean_log_difference;  // to fp32, over all frames
 };
@@ -43,7 +45,8 @@ class Precisions : public testing::TestWithParam<Guard> {};
 
 TEST_P(Precisions, StayNearFloatWithTheReleasedWeights) {
   const Guard guard = GetParam();
-  const Result<ModelFile> model = ModelFile::load(LCDM_RELEASED_MODEL);
+  const Result<ModelFile> model =
+      ModelFile::load(std::string("model/weights/lcdm-") + guard.model + ".safetensors");
   ASSERT_TRUE(model) << model.status().text();
   const CameraModel camera = CameraModel::from_field_of_view(kWidth, kHeight, 65);
   const FrameFormat format = {PixelFormat::kRgb24, kWidth, kHeight, 3 * kWidth};
@@ -67,11 +70,15 @@ TEST_P(Precisions, StayNearFloatWithTheReleasedWeights) {
   EXPECT_LE(sum / kScenes, guard.mean_log_difference);
 }
 
-INSTANTIATE_TEST_SUITE_P(, Precisions,
-                         testing::Values(Guard{Precision::kFloat16, 0.005},
-                                         Guard{Precision::kBfloat16, 0.005},
-                                         Guard{Precision::kInt8, 0.015}),
-                         [](const auto& guard) { return to_string(guard.param.precision); });
+INSTANTIATE_TEST_SUITE_P(
+    , Precisions,
+    testing::Values(Guard{"xxs", Precision::kFloat16, 0.005},
+                    Guard{"xxs", Precision::kBfloat16, 0.005},
+                    Guard{"xxs", Precision::kInt8, 0.015}, Guard{"xs", Precision::kFloat16, 0.005},
+                    Guard{"xs", Precision::kBfloat16, 0.005}, Guard{"xs", Precision::kInt8, 0.015}),
+    [](const auto& guard) {
+      return std::string(guard.param.model) + "_" + to_string(guard.param.precision);
+    });
 
 }  // namespace
 }  // namespace lcdm
