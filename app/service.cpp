@@ -47,10 +47,12 @@ bool gives_depth(DeviceState state) {
          state == DeviceState::kDegraded;
 }
 
-Service::Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config)
+Service::Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config,
+                 const std::string& sysfs)
     : pipeline_(pipeline),
       view_(view),
       recorder_(recorder),
+      thermal_(sysfs),
       control_(pipeline, recorder),
       panel_(config.gpio),
       ladder_(config.service.least_rate) {
@@ -221,6 +223,11 @@ void Service::announce_source() {
     std::printf(
         "warning: its weights and activations may be swapped out (raise LimitMEMLOCK= or ulimit "
         "-l)\n");
+  }
+  if (!os::gives_huge_pages()) {
+    std::printf(
+        "warning: no huge pages, inference may be slower (echo madvise "
+        ">/sys/kernel/mm/transparent_hugepage/enabled)\n");
   }
 }
 

@@ -43,8 +43,9 @@ bool gives_depth(DeviceState state);
 // Threads: start and run belong to main; status is for any thread.
 class Service {
  public:
-  // The first three are borrowed and must outlive the service.
-  Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config);
+  // The first three are borrowed and must outlive the service. `sysfs`: where it is mounted.
+  Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, const Config& config,
+          const std::string& sysfs = "/sys");
 
   // The heart of who asks whether the page answers; borrowed. Before start.
   void watch_page(const Heartbeat& page) { page_ = &page; }

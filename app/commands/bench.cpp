@@ -162,6 +162,7 @@ void print_text(const BenchResult& result) {
   std::printf("heap       %g allocations a frame\n", result.allocations_per_frame);
   std::printf("faults     %g page faults a frame; arena and weights %slocked against swapping\n",
               result.faults_per_frame, stats.memory_locked ? "" : "not ");
+  std::printf("huge pages %s\n", os::gives_huge_pages() ? "given" : "refused by the kernel");
 }
 
 Status parse_size(const std::string& text, EngineOptions& options) {

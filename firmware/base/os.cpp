@@ -5,8 +5,10 @@
 #include <cstdio>
 #include <cstring>
 #include <fcntl.h>
+#include <fstream>
 #include <pthread.h>
 #include <sched.h>
+#include <string>
 #include <sys/auxv.h>
 #include <sys/mman.h>
 #include <sys/resource.h>
@@ -64,7 +66,7 @@ Result<std::byte*> allocate_pages(std::size_t bytes) {
                          "cannot reserve %zu bytes: free memory or choose a smaller input size",
                          bytes);
   }
-  madvise(memory, bytes, MADV_HUGEPAGE);  // best effort: fewer TLB misses where allowed
+  madvise(memory, bytes, MADV_HUGEPAGE);  // best effort
   std::memset(memory, 0, bytes);          // touches every page: no faults later
   return static_cast<std::byte*>(memory);
 }
@@ -76,6 +78,13 @@ void free_pages(std::byte* memory, std::size_t bytes) noexcept {
 Status lock_pages(std::byte* memory, std::size_t bytes) {
   if (mlock(memory, bytes) == 0) return Status::ok();
   return Status::system(errno, "cannot lock %zu bytes in memory (raise LimitMEMLOCK=)", bytes);
+}
+
+// "always [madvise] never": the one in brackets is in force.
+bool gives_huge_pages(const std::string& sysfs) {
+  std::ifstream file(sysfs + "/kernel/mm/transparent_hugepage/enabled");
+  std::string choices;
+  return std::getline(file, choices) && choices.find("[never]") == std::string::npos;
 }
 
 bool has_dot_product() {

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
+#include <string>
 
 #include "firmware/base/status.h"
 
@@ -29,9 +30,13 @@ void lower_thread_priority(int steps);
 // those that it may run on. Best effort.
 void pin_thread(int index);
 
-// Page-aligned zeroed memory, every page touched. Owned by the caller: give it to free_pages.
+// Page-aligned zeroed memory, every page touched, in huge pages where the kernel gives them: fewer
+// misses of the address cache. Owned by the caller: give it to free_pages.
 Result<std::byte*> allocate_pages(std::size_t bytes);
 void free_pages(std::byte* memory, std::size_t bytes) noexcept;
+
+// Whether the kernel gives huge pages to those who ask. `sysfs`: where it is mounted.
+bool gives_huge_pages(const std::string& sysfs = "/sys");
 
 // Whether this is an Arm processor with dot products of 8-bit integers (Armv8.2 DotProd).
 bool has_dot_product();

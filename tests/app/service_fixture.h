@@ -4,6 +4,7 @@
 #include <chrono>
 #include <gtest/gtest.h>
 #include <memory>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -16,14 +17,16 @@ namespace lcdm::test {
 
 class InnerServiceTest : public testing::Test {
  protected:
-  // Call it once, when the camera has its script.
+  // Call it once, when the camera has its script and sysfs() its files.
   void make(const PipelineOptions& options = {}, Pipeline::EngineFactory engine = tiny_engine(),
             Pipeline::EngineFactory small_engine = nullptr, const Config& config = {}) {
     pipeline_ = std::make_unique<Pipeline>(camera_, std::move(engine), nullptr,
                                            std::vector<DepthSink*>{&view_, &recorder_}, options,
                                            std::move(small_engine));
-    service_ = std::make_unique<Service>(*pipeline_, view_, recorder_, config);
+    service_ = std::make_unique<Service>(*pipeline_, view_, recorder_, config, sysfs());
   }
+  // Without files: a board that has no sensors.
+  std::string sysfs() const { return folder_.file("sys"); }
   void TearDown() override {
     view_.stop();
     if (pipeline_) pipeline_->stop();

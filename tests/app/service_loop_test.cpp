@@ -2,6 +2,7 @@
 #include <csignal>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <string>
@@ -171,6 +172,25 @@ TEST_F(ServiceLoopTest, ANetworkThatIsTooSlowGivesWayToTheSmallerOne) {
   EXPECT_TRUE(run());
   EXPECT_EQ(pipeline_->engine().stats.width, 64);
   EXPECT_THAT(log_, HasSubstr("degraded: smaller network: "));
+}
+
+// Two degrees below where the system would hold the processor back.
+TEST_F(ServiceLoopTest, HeatGivesWayToTheSmallerNetworkToo) {
+  const std::filesystem::path zone = sysfs() + "/class/thermal/thermal_zone0";
+  std::filesystem::create_directories(zone);
+  std::ofstream(zone / "type") << "cpu-thermal\n";
+  std::ofstream(zone / "temp") << "93000\n";
+  std::ofstream(zone / "trip_point_0_type") << "passive\n";
+  std::ofstream(zone / "trip_point_0_temp") << "95000\n";
+  make({}, test::tiny_engine(96), test::tiny_engine(64));
+  camera_.on_dequeue = [this](int call) {
+    const bool small = pipeline_->engine().stats.width == 64;
+    return call < 60'000 && !small ? Status::ok()
+                                   : Status::error(StatusCode::kEndOfStream, "fake: the end");
+  };
+  EXPECT_TRUE(run());
+  EXPECT_EQ(pipeline_->engine().stats.width, 64);
+  EXPECT_THAT(log_, HasSubstr("degraded: smaller network: the board is hot"));
 }
 
 TEST_F(ServiceLoopTest, TheLastRungEndsTheProcessSoThatSystemdStartsAnother) {

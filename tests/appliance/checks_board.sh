@@ -57,6 +57,17 @@ gpio_heartbeat() {
   (($(ones "$levels") > 10 && $(ones "$levels") < 50))
 }
 
+# A supervisor outside sees the beat stand still while the device is not alive, until the service that
+# systemd starts then beats.
+gpio_heartbeat_stops() {
+  local levels
+  freeze_inference || return
+  within 60 state_is fault >&2 || return
+  levels=$(line_samples 2)
+  echo "fault: high in $(ones "$levels") of 60 looks"
+  within 60 depth_flows >&2 && gpio_heartbeat >&2 && [[ $levels =~ ^(0{60}|1{60})$ ]]
+}
+
 # The service ends while its heartbeat is high and its light, here active when low, is lit: both lines are
 # driven to their safe level. A simulated line that nobody holds shows its pull, whatever it was driven to
 # before: the kernel's trace has that.

@@ -113,6 +113,16 @@ control_needs_the_token() {
   within 60 depth_flows >&2 && [[ $codes == '401 401 200' ]]
 }
 
+control_is_open() {
+  local code
+  set_service LCDM_HTTP_INSECURE=true
+  within 60 depth_flows >&2 || return
+  code=$(http_code /record/stop -X POST)
+  set_service
+  echo "POST /record/stop without a token: $code"
+  within 60 depth_flows >&2 && [[ $code == 200 ]]
+}
+
 # Beside the service that works there is nothing it calls a fault.
 doctor_finds_no_fault() {
   local rc=0
@@ -141,6 +151,19 @@ watchdog_restarts() {
   within 60 depth_flows >&2 || return
   echo "$(seconds "$(elapsed_ms "$begin")"), $(missed_pings) in this boot"
   (($(missed_pings) > missed))
+}
+# The kernel kills what grows over MemoryMax=, here made smaller than the arena that is locked, and systemd
+# starts another.
+memory_limit_restarts() {
+  local before begin
+  before=$(on_guest systemctl show lcdm -p NRestarts --value)
+  on_guest systemctl set-property --runtime lcdm MemoryMax=16M >&2
+  within 60 service_was_restarted "$before" >&2 || return
+  begin=$EPOCHREALTIME
+  on_guest 'systemctl set-property --runtime lcdm MemoryMax=1G && rm -r /run/systemd/system.control/lcdm.service.d &&
+    systemctl daemon-reload && journalctl -b -u lcdm | grep -q "oom-kill"' >&2 || return
+  within 60 depth_flows >&2 || return
+  echo "depth again $(seconds "$(elapsed_ms "$begin")") after the limit was as before"
 }
 # How often systemd itself has said so.
 missed_pings() { on_guest journalctl -b -u lcdm | grep -c 'Watchdog timeout'; }

@@ -74,9 +74,11 @@ check 'camera under another number' another_number
 if $all; then check 'every format, one plane' every_format; fi
 check 'control from outside is off' control_is_refused
 check 'control from outside needs the token' control_needs_the_token
+check 'control from outside, insecure by will' control_is_open
 check 'doctor' doctor_finds_no_fault
 check 'process stands still: systemd watchdog' watchdog_restarts freeze_process
 check 'inference stalls: systemd watchdog' watchdog_restarts freeze_inference
+check 'memory grows over its limit' memory_limit_restarts
 check 'kernel crashes: hardware watchdog' hardware_watchdog_resets
 check 'boot to first depth' boot_to_depth
 check 'power cut while recording' power_cut_keeps_recording
@@ -85,6 +87,7 @@ if $all; then
   check 'GPIO: lines by name' gpio_set_up
   check 'GPIO: light' gpio_light
   check 'GPIO: heartbeat' gpio_heartbeat
+  check 'GPIO: heartbeat stands still in a fault' gpio_heartbeat_stops
   check 'GPIO: safe levels at the end' gpio_ends_safe
   check 'GPIO: button records' gpio_button
   check 'USB: page over the cable' usb_network
