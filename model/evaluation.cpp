@@ -241,8 +241,30 @@ SetResult evaluate(const Frames& set, const std::vector<std::size_t>& frames,
   return result;
 }
 
-Difference paired_difference(const SetResult& a, const SetResult& b, double Metrics::*metric) {
+namespace {
+
+// Widens the interval to that of 10,000 means of runs of `block` neighbours, drawn anew with
+// replacement; the last one has the first for its neighbour.
+void widen(const std::vector<double>& differences, std::size_t block, Difference& out) {
   constexpr int kDraws = 10000;
+  const std::size_t count = differences.size();
+  SampleRandom random(1, count, 0);
+  std::vector<double> means(kDraws);
+  for (double& mean : means) {
+    std::size_t at = 0;
+    for (std::size_t i = 0; i < count; ++i, ++at) {
+      if (i % block == 0) at = random.below(count);
+      mean += differences[at % count] / static_cast<double>(count);
+    }
+  }
+  std::sort(means.begin(), means.end());
+  out.low = std::min(out.low, means[kDraws / 40]);
+  out.high = std::max(out.high, means[kDraws - 1 - kDraws / 40]);
+}
+
+}  // namespace
+
+Difference paired_difference(const SetResult& a, const SetResult& b, double Metrics::*metric) {
   std::map<std::string, double> others;
   for (const FrameResult& frame : b.frames) others[frame.name] = frame.metrics.*metric;
   std::vector<double> differences;
@@ -255,16 +277,9 @@ Difference paired_difference(const SetResult& a, const SetResult& b, double Metr
   if (differences.empty()) return out;
   const auto n = static_cast<double>(differences.size());
   for (const double difference : differences) out.mean += difference / n;
-  SampleRandom random(1, differences.size(), 0);
-  std::vector<double> means(kDraws);
-  for (double& mean : means) {
-    for (std::size_t i = 0; i < differences.size(); ++i) {
-      mean += differences[random.below(differences.size())] / n;
-    }
-  }
-  std::sort(means.begin(), means.end());
-  out.low = means[kDraws / 40];
-  out.high = means[kDraws - 1 - kDraws / 40];
+  out.low = out.high = out.mean;
+  widen(differences, 1, out);
+  widen(differences, static_cast<std::size_t>(std::ceil(std::sqrt(n))), out);
   return out;
 }
 

@@ -54,15 +54,18 @@ struct SetResult {
 SetResult evaluate(const Frames& set, const std::vector<std::size_t>& frames,
                    const Protocol& protocol, const Estimator& estimator, double blur = 0);
 
-// A difference of means over the same frames, with a 95 % interval by the paired bootstrap (Efron):
-// 10,000 times the frames are drawn anew with replacement.
+// A difference of means over the same frames, with a 95 % interval by the paired bootstrap: the
+// wider of Efron's, of frames one by one, and the circular one of Politis and Romano, of runs as
+// long as the root of their number. Frames of a video resemble their neighbours; of a few frames,
+// runs say too little.
 struct Difference {
   double mean = 0;
   double low = 0;
   double high = 0;
   std::size_t frames = 0;
 };
-// Of `metric`, a - b, over the frames that both have. Few frames give a wide and rough interval.
+// Of `metric`, a - b, over the frames that both have, in a's order. Few frames give a wide and
+// rough interval.
 Difference paired_difference(const SetResult& a, const SetResult& b, double Metrics::*metric);
 
 // A colour picture: the frame, its depth where known, and the estimates side by side (inverse

@@ -228,8 +228,8 @@ Status run(const Options& options) {
   page.heading(options.test ? "Accuracy on the test sets" : "Accuracy on the validation parts");
   page.paragraph(
       "Median-scaled. The difference is AbsRel's to the first row, with its interval by the paired "
-      "bootstrap over the "
-      "frames.");
+      "bootstrap over frames and "
+      "over runs of them, the wider.");
   Chart accuracy;
   accuracy.title = "Parameters against d1";
   accuracy.x_label = "parameters, millions";

@@ -11,13 +11,24 @@ webcam_comes() {
   to_guest "$program" "$webcam" || return
   on_guest "systemctl stop lcdm-usb; modprobe -a dummy_hcd gadgetfs &&
     mkdir -p $webcam_folder && mount -t gadgetfs none $webcam_folder" >&2 || return
-  plug_webcam_in >&2 || return
-  link=$(on_guest 'for i in $(seq 60); do ls /dev/v4l/by-id/*video-index0 && break; sleep 0.5; done') || return
+  link=$(webcam_link) || return
   set_service "LCDM_CAMERA_SOURCE=v4l2:$link"
   within 90 depth_flows >&2 || return
   driver=$(on_guest "basename \$(readlink /sys/class/video4linux/\$(basename \$(readlink $link))/device/driver)")
   echo "$link, $driver, $(status .source.description)"
   [[ $driver == uvcvideo ]]
+}
+# On a busy machine the simulated controller may lose an answer to the driver, which then wants the camera
+# plugged in anew.
+webcam_link() {
+  local link
+  for _ in 1 2 3; do
+    plug_webcam_in >&2 || return
+    link=$(on_guest 'for i in $(seq 60); do ls /dev/v4l/by-id/*video-index0 2>/dev/null && break; sleep 0.5; done')
+    [[ -z $link ]] || break
+    on_guest systemctl stop webcam >&2 || return
+  done
+  echo "$link" | grep .
 }
 plug_webcam_in() { on_guest "systemd-run --quiet -p KillMode=mixed --unit webcam $webcam $webcam_folder"; }
 
@@ -30,7 +41,7 @@ webcam_unplugged() {
   within 20 state_is 'waiting for camera' >&2 || said=false
   sleep 2
   begin=$EPOCHREALTIME
-  plug_webcam_in >&2 || return
+  webcam_link >&2 || return
   within 60 depth_flows >&2 || return
   echo "$(seconds "$(elapsed_ms "$begin")") after it is back"
   $said

@@ -1,8 +1,10 @@
 // What is measured over whole sets, and how sure a difference is.
 #include "model/evaluation.h"
 
+#include <algorithm>
 #include <cmath>
 #include <gtest/gtest.h>
+#include <random>
 
 #include "model/validation.h"
 
@@ -29,16 +31,30 @@ TEST(PairedDifference, OfAConstantDifferenceHasNoSpread) {
   EXPECT_NEAR(d.high, 0.1, 1e-12);
 }
 
-// Differences of +1 and -1 by turns: the mean of 400 of them has a deviation of 1/20, and 95 % of
-// its draws lie within 1.96 of that.
-TEST(PairedDifference, HasTheIntervalOfTheNormalLaw) {
-  std::vector<double> a;
-  for (int i = 0; i < 400; ++i) a.push_back(i % 2 == 0 ? 1 : -1);
+double half_width(const std::vector<double>& differences) {
   const Difference d =
-      paired_difference(result_of(a), result_of(std::vector<double>(400, 0)), &Metrics::abs_rel);
-  EXPECT_NEAR(d.mean, 0, 1e-12);
-  EXPECT_NEAR(d.low, -1.96 / 20, 0.01);
-  EXPECT_NEAR(d.high, 1.96 / 20, 0.01);
+      paired_difference(result_of(differences),
+                        result_of(std::vector<double>(differences.size(), 0)), &Metrics::abs_rel);
+  return (d.high - d.low) / 2;
+}
+
+// Differences of +1 and -1, each by a coin: the mean of 400 of them has a deviation of 1/20, and 95
+// % of its draws lie within 1.96 of that.
+TEST(PairedDifference, OfFramesThatAreIndependentHasTheIntervalOfTheNormalLaw) {
+  std::mt19937 coin(1);
+  std::vector<double> differences(400);
+  for (double& difference : differences) difference = coin() % 2 == 0 ? 1 : -1;
+  EXPECT_NEAR(half_width(differences), 1.96 / 20, 0.02);
+}
+
+// Twenty neighbours have one coin: only twenty frames in truth, with a deviation of 1/sqrt(20).
+TEST(PairedDifference, OfFramesThatResembleTheirNeighboursIsLessSure) {
+  std::mt19937 coin(1);
+  std::vector<double> differences(400);
+  for (std::size_t i = 0; i < 400; i += 20) {
+    std::fill_n(differences.begin() + static_cast<std::ptrdiff_t>(i), 20, coin() % 2 == 0 ? 1 : -1);
+  }
+  EXPECT_GT(half_width(differences), 0.6 * 1.96 / std::sqrt(20.0));
 }
 
 TEST(PairedDifference, ComparesOnlyFramesThatBothHave) {
