@@ -6,6 +6,7 @@
 #include <memory>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/videoio.hpp>
+#include <ostream>
 #include <set>
 #include <vector>
 
@@ -47,6 +48,8 @@ struct SourceCase {
   bool needs_umockdev = false;  // its device is the fake
   bool real = false;            // a device of this machine: it may lose frames and know few sizes
 };
+
+void PrintTo(const SourceCase& source, std::ostream* out) { *out << source.name; }
 
 std::unique_ptr<Camera> make_scene(World& /*world*/) { return std::make_unique<SceneCamera>(2); }
 

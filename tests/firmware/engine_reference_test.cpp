@@ -4,6 +4,7 @@
 #include <cmath>
 #include <gtest/gtest.h>
 #include <limits>
+#include <ostream>
 #include <vector>
 
 #include "firmware/nn/engine.h"
@@ -60,6 +61,8 @@ std::string name_of(const Case& c) {
          std::to_string(c.condition_channels) + "channels" +
          (c.start == StartKind::kZeros ? "_zeros" : "");
 }
+
+void PrintTo(const Case& c, std::ostream* out) { *out << name_of(c); }
 
 class EngineReference : public testing::TestWithParam<Case> {};
 

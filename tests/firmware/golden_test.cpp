@@ -1,6 +1,7 @@
 // The engine against what LibTorch computed once (tests/fixtures/golden): needs no LibTorch here.
 #include <cmath>
 #include <gtest/gtest.h>
+#include <ostream>
 #include <string>
 #include <vector>
 
@@ -20,6 +21,8 @@ struct Fixture {
   int width;
   int height;
 };
+
+void PrintTo(const Fixture& fixture, std::ostream* out) { *out << fixture.name; }
 
 class GoldenTest : public ::testing::TestWithParam<Fixture> {};
 

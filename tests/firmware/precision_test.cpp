@@ -1,6 +1,7 @@
 // Narrow products change the depth of pictures by no more than we say.
 #include <cmath>
 #include <gtest/gtest.h>
+#include <ostream>
 #include <string>
 #include <vector>
 
@@ -18,6 +19,11 @@ struct Guard {
   Precision precision;
   double mean_log_difference;  // to fp32, over all frames
 };
+
+std::string name_of(const Guard& guard) {
+  return std::string(guard.model) + "_" + to_string(guard.precision);
+}
+void PrintTo(const Guard& guard, std::ostream* out) { *out << name_of(guard); }
 
 std::vector<std::uint8_t> picture_of(std::uint64_t seed, const CameraModel& camera) {
   std::vector<std::uint8_t> rgb(std::size_t{3} * kWidth * kHeight);
@@ -70,15 +76,14 @@ TEST_P(Precisions, StayNearFloatWithTheReleasedWeights) {
   EXPECT_LE(sum / kScenes, guard.mean_log_difference);
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    , Precisions,
-    testing::Values(Guard{"xxs", Precision::kFloat16, 0.005},
-                    Guard{"xxs", Precision::kBfloat16, 0.005},
-                    Guard{"xxs", Precision::kInt8, 0.015}, Guard{"xs", Precision::kFloat16, 0.005},
-                    Guard{"xs", Precision::kBfloat16, 0.005}, Guard{"xs", Precision::kInt8, 0.015}),
-    [](const auto& guard) {
-      return std::string(guard.param.model) + "_" + to_string(guard.param.precision);
-    });
+INSTANTIATE_TEST_SUITE_P(, Precisions,
+                         testing::Values(Guard{"xxs", Precision::kFloat16, 0.005},
+                                         Guard{"xxs", Precision::kBfloat16, 0.005},
+                                         Guard{"xxs", Precision::kInt8, 0.015},
+                                         Guard{"xs", Precision::kFloat16, 0.005},
+                                         Guard{"xs", Precision::kBfloat16, 0.005},
+                                         Guard{"xs", Precision::kInt8, 0.015}),
+                         [](const auto& guard) { return name_of(guard.param); });
 
 }  // namespace
 }  // namespace lcdm

@@ -6,6 +6,7 @@
 #include <memory>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <ostream>
 #include <string>
 #include <tuple>
 #include <vector>
@@ -28,13 +29,13 @@ struct GoldenCase {
   int height;
 };
 
-class EngineGoldenTest : public ::testing::TestWithParam<GoldenCase> {};
-
-std::string case_name(const ::testing::TestParamInfo<GoldenCase>& info) {
-  const GoldenCase& c = info.param;
+std::string name_of(const GoldenCase& c) {
   return std::string(to_string(c.encoder)) + "_" + to_string(c.preset) + "_" +
          std::to_string(c.width) + "x" + std::to_string(c.height);
 }
+void PrintTo(const GoldenCase& c, std::ostream* out) { *out << name_of(c); }
+
+class EngineGoldenTest : public ::testing::TestWithParam<GoldenCase> {};
 
 // A real picture as the network sees it: [height, width, 3], normalised.
 cv::Mat real_picture(int width, int height) {
@@ -125,7 +126,7 @@ INSTANTIATE_TEST_SUITE_P(
                       GoldenCase{EncoderKind::kXs, PresetKind::kPaper, 640, 192},
                       GoldenCase{EncoderKind::kXs, PresetKind::kPaper, 640, 480},
                       GoldenCase{EncoderKind::kS, PresetKind::kLcdm, 640, 192}),
-    case_name);
+    [](const auto& one) { return name_of(one.param); });
 
 }  // namespace
 }  // namespace lcdm::model
