@@ -139,6 +139,7 @@ void print_json(const BenchResult& result) {
       {"allocations_per_frame", result.allocations_per_frame},
       {"page_faults_per_frame", result.faults_per_frame},
       {"memory_locked", stats.memory_locked},
+      {"huge_pages", os::gives_huge_pages()},
   };
   std::printf("%s\n", json.dump(2).c_str());
 }
