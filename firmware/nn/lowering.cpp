@@ -185,15 +185,12 @@ class Lowering {
                     kernels::winograd_scratch(args));
   }
 
-  // Bytes where they cost little accuracy: beside an upsampled share, to many channels, and at the
-  // picture's own size, which is the head's convolution, the largest layer of all. The fewest
-  // channels cost some even in halves.
+  // Bytes where they cost little accuracy: beside an upsampled share and to many channels. Towards
+  // the picture's own size they gain little more and leave grain. The fewest channels cost some
+  // even in halves.
   Precision precision_of_3x3(const Layer& layer, const kernels::Conv3x3& conv) const {
     if (layer.output.channels < 16) return Precision::kFloat32;
-    const bool has_share = conv.upsampled.data != nullptr;
-    const bool to_many = layer.output.channels >= 48;
-    const bool full_size = layer.output.width == network_.width() && conv.channels >= 16;
-    const bool bytes = has_share || to_many || full_size;
+    const bool bytes = conv.upsampled.data != nullptr || layer.output.channels >= 48;
     const Precision narrowest = bytes ? Precision::kInt8 : Precision::kBfloat16;
     return weights_.precision_for(9 * conv.channels, narrowest, 3);
   }
