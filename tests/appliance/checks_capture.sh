@@ -23,10 +23,11 @@ camera_arrives() {
   within 120 depth_flows
 }
 
-# 16 bits, grey, and a size that the status says; its picture stays for people to look at.
+# 16 bits, grey, and a size that the status says; its picture stays for people to look at. An emulated
+# processor may have no picture within the service's own patience: 503 with a Retry-After, which curl heeds.
 depth_picture() {
   local file=build/appliance/depth.png header
-  curl -sf --max-time 20 -o "$file" "$web/depth.png" || return
+  curl -sf --retry 9 --retry-max-time 60 --max-time 20 -o "$file" "$web/depth.png" || return
   header=$(od -An -v -tx1 -j16 -N10 "$file" | tr -d ' \n')
   [[ $header == "$(printf '%08x%08x1000' "$(status .depth.width)" "$(status .depth.height)")" ]] ||
     return
