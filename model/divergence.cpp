@@ -6,11 +6,18 @@
 #include <vector>
 
 namespace lcdm::model {
+namespace {
+
+// A step counts as this many least means at most: one wild batch, whose gradient is clipped, is no
+// divergence.
+constexpr float kMostOfOne = 100;
+
+}  // namespace
 
 void Divergence::add(double loss, Phase phase) {
   if (phase != phase_) *this = {};
   phase_ = phase;
-  recent_.push_back(static_cast<float>(loss));
+  recent_.push_back(std::min(static_cast<float>(loss), kMostOfOne * least_));
   if (recent_.size() > kWindow) recent_.pop_front();
   if (recent_.size() < kWindow) return;
   mean_ = static_cast<float>(std::accumulate(recent_.begin(), recent_.end(), 0.0) / kWindow);

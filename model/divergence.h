@@ -18,7 +18,8 @@ class Divergence {
 
   // Notes the loss of one step. Another phase begins anew: its losses are other sums.
   void add(double loss, Phase phase);
-  // Whether the mean of the last kWindow losses exceeds kWorst times the least such mean.
+  // Whether the mean of the last kWindow losses exceeds kWorst times the least such mean. Each
+  // counts as a hundred least means at most, so that it takes nine wild batches.
   bool found() const;
   // "the mean loss of ... is 3.2, it was 0.4".
   std::string text() const;

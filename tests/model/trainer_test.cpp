@@ -336,6 +336,16 @@ TEST(Divergence, IsAMeanFarAboveItsBest) {
   EXPECT_FALSE(resumed.found()) << "with the head a loss is another sum";
 }
 
+// Its gradient is clipped: the training goes on.
+TEST(Divergence, IsNotOneWildBatch) {
+  Divergence divergence;
+  for (int i = 0; i < 200; ++i) divergence.add(1, {});
+  divergence.add(1e9, {});
+  EXPECT_FALSE(divergence.found());
+  for (int i = 0; i < 8; ++i) divergence.add(1e9, {});
+  EXPECT_TRUE(divergence.found()) << "nine are";
+}
+
 // A checkpoint that holds a training about to diverge stops where the unbroken one would.
 TEST(Trainer, SaysWhyItStopsWhereLossesStayFarAboveTheirBest) {
   const test::TemporaryFolder folder;
@@ -344,6 +354,7 @@ TEST(Trainer, SaysWhyItStopsWhereLossesStayFarAboveTheirBest) {
   TensorFile file = *read_tensors(path);
   Divergence past;
   for (std::size_t i = 0; i < Divergence::kWindow; ++i) past.add(1e-6, {0, true});
+  for (int i = 0; i < 8; ++i) past.add(1, {0, true});
   file.tensors["trainer.divergence"] = past.numbers();
   ASSERT_TRUE(write_tensors(path, file));
   const auto trainer = trainer_of(small_recipe());
