@@ -1,5 +1,6 @@
 // lcdm-train compare: the engine beside other runtimes on the same network, interleaved.
 #include <algorithm>
+#include <cmath>
 #include <csignal>
 #include <cstdio>
 #include <ctime>
@@ -63,6 +64,16 @@ Timing time_frames(int frames, const std::function<void()>& run) {
   return {median(wall), median(cpu)};
 }
 
+// The picture that every runtime is given (peers/onnxruntime.mjs makes the same), [3, H, W] or
+// [H, W, 3] in [0, 1].
+std::vector<float> test_picture(const Options& options) {
+  std::vector<float> values(static_cast<std::size_t>(options.width * options.height) * 3);
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    values[i] = 0.5F + 0.5F * std::sin(static_cast<float>(i) * 0.37F);
+  }
+  return values;
+}
+
 // Something that runs the network. nullopt where it broke.
 struct Runner {
   std::string name;
@@ -84,8 +95,7 @@ Status add_engine(const ModelFile& file, const Options& options, Precision preci
   if (!prepared) return prepared.status();
   const std::shared_ptr<Engine> engine = std::move(*prepared);
   if (engine->stats().precision != precision) return Status::ok();
-  const std::vector<float> image(static_cast<std::size_t>(options.width * options.height) * 3,
-                                 0.5F);
+  const std::vector<float> image = test_picture(options);
   const auto run = [engine, image](int frames) -> std::optional<Timing> {
     bool good = true;
     const Timing timing =
@@ -99,7 +109,8 @@ Status add_engine(const ModelFile& file, const Options& options, Precision preci
 
 Runner libtorch_runner(const ModelFile& file, const Options& options) {
   const auto net = std::make_shared<FoldedNet>(file);
-  const torch::Tensor image = torch::full({1, 3, options.height, options.width}, 0.5)
+  const torch::Tensor image = torch::tensor(test_picture(options))
+                                  .view({1, 3, options.height, options.width})
                                   .contiguous(torch::MemoryFormat::ChannelsLast);
   return {"LibTorch", [net, image](int frames) -> std::optional<Timing> {
             return time_frames(frames, [&] { net->forward(image); });

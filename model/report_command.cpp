@@ -4,11 +4,12 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <set>
 
 #include "firmware/nn/engine.h"
-#include "model/catalogue.h"
 #include "model/commands.h"
 #include "model/csv.h"
+#include "model/data_sets.h"
 #include "model/evaluation.h"
 #include "model/html_page.h"
 
@@ -169,6 +170,18 @@ std::vector<Picture> pictures_of(const Pack& pack, const std::vector<Candidate>&
   return pictures;
 }
 
+// Several runs' steps one behind the other: where the number falls a new run begins.
+std::vector<double> joined(std::vector<double> steps) {
+  double before = 0;
+  double last = 0;
+  for (double& step : steps) {
+    if (step < last) before += last;
+    last = step;
+    step += before;
+  }
+  return steps;
+}
+
 Status add_curve(HtmlPage& page, const std::string& path) {
   const Result<CsvTable> table = read_csv(path);
   if (!table) return table.status();
@@ -180,13 +193,13 @@ Status add_curve(HtmlPage& page, const std::string& path) {
   chart.y_label = "loss";
   chart.log_y = true;
   for (const std::string& name : table->header) {
-    if (name == "step" || name == "images" || name == "seconds" || name == "learning_rate") {
-      continue;
-    }
+    static const std::set<std::string> others = {"run", "step", "images", "seconds",
+                                                 "learning_rate"};
+    if (others.count(name) > 0) continue;
     const auto values = table->numbers(name);
     if (!values) return values.status();
     if (std::any_of(values->begin(), values->end(), [](double v) { return v > 0; })) {
-      chart.series.push_back({name, *steps, *values});
+      chart.series.push_back({name, joined(*steps), *values});
     }
   }
   page.heading("Training");

@@ -36,7 +36,7 @@ if (output) {
   writeFileSync(output, Buffer.from(depth.buffer, depth.byteOffset, depth.byteLength));
 } else {
   const count = shape.reduce((product, extent) => product * extent, 1);
-  const image = Float32Array.from({ length: count }, (_, i) => Math.sin(i * 0.37));
+  const image = Float32Array.from({ length: count }, (_, i) => 0.5 + 0.5 * Math.sin(i * 0.37));
   for await (const line of createInterface({ input: process.stdin })) {
     const wall = [];
     const cpu = [];
