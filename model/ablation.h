@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "firmware/base/status.h"
-#include "model/catalogue.h"
+#include "model/data_sets.h"
 #include "model/trainer.h"
 
 namespace lcdm::model {
