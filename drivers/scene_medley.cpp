@@ -48,18 +48,6 @@ Place anywhere(Random& random, const Yard& yard) {
 
 // ---- things -------------------------------------------------------------------------------------
 
-void add_boxes(Random& random, const Place& place, Snapshot& out) {
-  Vec3 half{spread(random, 0.05F, 0.7F), spread(random, 0.05F, 0.6F), spread(random, 0.05F, 0.7F)};
-  float top = 0;
-  const int storeys = 1 + (random.chance(0.3F) ? random.below(3) : 0);
-  for (int i = 0; i < storeys; ++i) {
-    out.add(box(place.at(0, top + half.y, 0), half, place.yaw + random.between(-0.3F, 0.3F),
-                any_paint(random)));
-    top += 2 * half.y;
-    half = half * random.between(0.5F, 1);
-  }
-}
-
 void add_barrel(Random& random, const Place& place, Snapshot& out) {
   const float radius = spread(random, 0.02F, 0.35F);
   const float reach = radius + spread(random, 0.1F, 1.2F);
@@ -135,27 +123,6 @@ void add_any_thing(Random& random, const Place& place, float height, Snapshot& o
   }
 }
 
-void add_indoor_thing(Random& random, const Place& place, float height, Snapshot& out) {
-  switch (random.below(9)) {
-    case 0:
-    case 1:
-      return add_chair(out, random, place);
-    case 2:
-      return add_table(
-          out, random, place,
-          {random.between(0.3F, 0.9F), random.between(0.4F, 0.9F), random.between(0.25F, 0.6F)});
-    case 3:
-      return random.chance(0.5F) ? add_sofa(out, random, place)
-                                 : add_shelf(out, random, place, random.between(0.3F, 0.9F),
-                                             random.between(0.8F, 2.1F));
-    case 4:
-      return random.chance(0.5F) ? add_plant(out, random, place)
-                                 : add_floor_lamp(out, random, place);
-    default:
-      return add_any_thing(random, place, height, out);
-  }
-}
-
 void add_outdoor_thing(Random& random, const Place& place, Snapshot& out) {
   switch (random.below(12)) {
     case 0:
@@ -201,12 +168,6 @@ float clearance(const Primitive& p, Vec3 at) {
     default:
       return length(v) - p.bound;
   }
-}
-
-bool is_free(const Snapshot& out, Vec3 eye, float distance) {
-  const auto all = out.primitives();
-  return std::all_of(all.begin(), all.end(),
-                     [&](const Primitive& p) { return clearance(p, eye) > distance; });
 }
 
 // Looks from a place in the yard that has `distance` metres of air around it, if one is found, at
@@ -322,6 +283,45 @@ Yard fill_outdoors(Random& shell, Random& things, Snapshot& out) {
 }
 
 }  // namespace
+
+void add_boxes(Random& random, const Place& place, Snapshot& out) {
+  Vec3 half{spread(random, 0.05F, 0.7F), spread(random, 0.05F, 0.6F), spread(random, 0.05F, 0.7F)};
+  float top = 0;
+  const int storeys = 1 + (random.chance(0.3F) ? random.below(3) : 0);
+  for (int i = 0; i < storeys; ++i) {
+    out.add(box(place.at(0, top + half.y, 0), half, place.yaw + random.between(-0.3F, 0.3F),
+                any_paint(random)));
+    top += 2 * half.y;
+    half = half * random.between(0.5F, 1);
+  }
+}
+
+void add_indoor_thing(Random& random, const Place& place, float height, Snapshot& out) {
+  switch (random.below(9)) {
+    case 0:
+    case 1:
+      return add_chair(out, random, place);
+    case 2:
+      return add_table(
+          out, random, place,
+          {random.between(0.3F, 0.9F), random.between(0.4F, 0.9F), random.between(0.25F, 0.6F)});
+    case 3:
+      return random.chance(0.5F) ? add_sofa(out, random, place)
+                                 : add_shelf(out, random, place, random.between(0.3F, 0.9F),
+                                             random.between(0.8F, 2.1F));
+    case 4:
+      return random.chance(0.5F) ? add_plant(out, random, place)
+                                 : add_floor_lamp(out, random, place);
+    default:
+      return add_any_thing(random, place, height, out);
+  }
+}
+
+bool is_free(const Snapshot& snapshot, Vec3 point, float distance) {
+  const auto all = snapshot.primitives();
+  return std::all_of(all.begin(), all.end(),
+                     [&](const Primitive& p) { return clearance(p, point) > distance; });
+}
 
 void fill_medley(std::uint64_t seed, Snapshot& out) {
   Random shell(seed, kShell, 0);

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "model/depth_code.h"
+#include "model/pasted_things.h"
 
 namespace lcdm::model {
 namespace {
@@ -49,7 +50,7 @@ void degrade(cv::Mat& rgb, SampleRandom& random) {
   if (random.chance(0.2)) cv::GaussianBlur(rgb, rgb, {}, random.uniform(0.4, 1.2));
   if (!random.chance(0.3)) return;
   cv::Mat noise(rgb.size(), rgb.type());
-  cv::RNG generator(static_cast<std::uint64_t>(random.uniform(1, 0x1p52)));
+  cv::RNG generator(random.seed());
   generator.fill(noise, cv::RNG::NORMAL, 0, random.uniform(0.005, 0.04));
   rgb = cv::min(cv::max(rgb + noise, 0.0), 1.0);
 }
@@ -127,6 +128,9 @@ Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const Batch
   if (!read) return read.status();
   PackFrame& frame = *read;
   const bool views = shape.views && pack.frames->has_neighbours(index);
+  if (!views && pack.use.things > 0 && random.chance(pack.use.things)) {
+    paste_things(random.seed(), frame);
+  }
   if (!views && random.chance(0.4)) roll(frame, random);
   const double aspect =
       static_cast<double>(shape.width) / shape.height * random.uniform(0.88, 1.14);

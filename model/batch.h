@@ -33,6 +33,8 @@ class SampleRandom {
   double uniform(double low, double high);
   bool chance(double probability) { return uniform(0, 1) < probability; }
   std::size_t below(std::size_t n);
+  // For another generator.
+  std::uint64_t seed() { return static_cast<std::uint64_t>(uniform(1, 0x1p52)); }
 
  private:
   std::uint64_t next();
@@ -50,9 +52,10 @@ struct AugmentedSample {
   cv::Mat depth;       // CV_32FC1, canonical, 0 = unknown
   CameraModel camera;  // of the crop at its new size, flipped
 };
-// Frame `index` of the pack under a random roll (not where views are asked for: their motion is
-// known for upright cameras only), crop (45 to 100 % of the largest of about the shape's aspect),
-// flip, colour jitter, blur and noise. Errors as Frames::read.
+// Frame `index` of the pack with rendered things in it (as often as the pack is to have them; not
+// where views are asked for: the neighbours show none), under a random roll (nor there: their
+// motion is known for upright cameras only), crop (45 to 100 % of the largest of about the shape's
+// aspect), flip, colour jitter, blur and noise. Errors as Frames::read.
 Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const BatchShape& shape,
                                 SampleRandom& random);
 

@@ -2,9 +2,6 @@
 // in what mixture, and what licence follows for the weights (model/data/).
 #pragma once
 
-#include <CLI/CLI.hpp>
-#include <filesystem>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -21,7 +18,7 @@ struct CatalogueEntry {
   PackUse use;
   Protocol protocol;
   std::string list;             // KITTI: which frames
-  std::string validation_list;  // KITTI: which of them validate; empty: every tenth of `list`
+  std::string validation_list;  // KITTI: which of them validate; needed to train on it
   std::string ground_truth;     // KITTI: "velodyne", or the folder of the improved ground truth
 };
 
@@ -43,25 +40,5 @@ struct Catalogue {
 
 // Errors name file, line and key: kInvalidInput.
 Result<Catalogue> read_catalogue(const std::string& file);
-
-// What commands ask about their data.
-struct DataOptions {
-  std::string catalogue = "model/data/research.toml";
-  std::string root;                // instead of the catalogue's
-  std::vector<std::string> packs;  // folders to train on instead of the catalogue's
-  std::size_t every = 1;           // n-th frame of each pack
-  std::optional<std::size_t> scene_frames;
-};
-void add_data_options(CLI::App& command, DataOptions& options);
-
-struct Data {
-  std::string licence;
-  std::vector<Pack> packs;
-  std::vector<Protocol> protocols;  // of each pack
-};
-// The training packs, each split into training and validation, the renderings last.
-Result<Data> load_training_data(const DataOptions& options);
-// The test sets; every frame of theirs is in `validation`, at its full size.
-Result<Data> load_test_data(const DataOptions& options);
 
 }  // namespace lcdm::model

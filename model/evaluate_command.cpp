@@ -3,9 +3,9 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "firmware/base/file.h"
-#include "model/catalogue.h"
 #include "model/checkpoint.h"
 #include "model/commands.h"
+#include "model/data_sets.h"
 #include "model/evaluation.h"
 
 namespace lcdm::model {

@@ -34,6 +34,7 @@ struct PackUse {
   float weight = 1;              // trust in its depth, in the losses
   float wide_share = 0;          // how often it is drawn for batches of the wide shape
   float tall_share = 0;          // and for those of the 4:3 shape
+  float things = 0;              // the share of its training pictures that get rendered things
   bool video = false;            // neighbouring frames are neighbours in time
   std::string maps = "teacher";  // the folder of a teacher's maps, unit 1/256 m
   Alignment alignment = Alignment::kNone;

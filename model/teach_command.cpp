@@ -3,10 +3,10 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "firmware/base/file.h"
-#include "model/catalogue.h"
 #include "model/checkpoint.h"
 #include "model/choice_option.h"
 #include "model/commands.h"
+#include "model/data_sets.h"
 #include "model/evaluation.h"
 #include "model/torchscript_teacher.h"
 

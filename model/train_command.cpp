@@ -3,9 +3,9 @@
 #include <cstdio>
 #include <filesystem>
 
-#include "model/catalogue.h"
 #include "model/checkpoint.h"
 #include "model/commands.h"
+#include "model/data_sets.h"
 #include "model/dry_run.h"
 #include "model/recipe_options.h"
 #include "model/safetensors.h"

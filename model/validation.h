@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "model/catalogue.h"
+#include "model/data_sets.h"
 #include "model/metrics.h"
 #include "model/network.h"
 

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include "model/data_sets.h"
 #include "tests/model/data_set_fixture.h"
 #include "tests/support/temporary_folder.h"
 
@@ -94,9 +95,10 @@ TEST(Catalogues, OfTheProjectAreWellFormed) {
 // Without depth nothing would be learnt, and nobody told.
 TEST_F(CatalogueTest, KittiNeedsASourceOfDepth) {
   DataOptions options;
-  options.catalogue = folder_.write(
-      "catalogue.toml",
-      "[[train]]\nform = \"kitti-raw\"\npath = \"kitti\"\nlist = \"a.txt\"\nwide-share = 1\n");
+  options.catalogue =
+      folder_.write("catalogue.toml",
+                    "[[train]]\nform = \"kitti-raw\"\npath = \"kitti\"\nlist = \"a.txt\"\n"
+                    "validation-list = \"b.txt\"\nwide-share = 1\n");
   const Result<Data> data = load_training_data(options);
   ASSERT_EQ(data.code(), StatusCode::kInvalidInput);
   EXPECT_NE(std::string(data.status().text()).find("ground-truth"), std::string::npos);
