@@ -11,9 +11,9 @@
 #include "app/doctor_rate.h"
 #include "app/source.h"
 #ifdef LCDM_LIBCAMERA
-#include "drivers/libcamera_camera.h"
+#include "drivers/libcamera/camera.h"
 #endif
-#include "drivers/v4l2_device.h"
+#include "drivers/v4l2/device.h"
 
 namespace lcdm {
 namespace {

@@ -7,8 +7,8 @@
 #include "app/config.h"
 #include "app/doctor_account.h"
 #include "app/finding.h"
-#include "drivers/v4l2_formats.h"
-#include "drivers/v4l2_nodes.h"
+#include "drivers/v4l2/formats.h"
+#include "drivers/v4l2/nodes.h"
 
 namespace lcdm {
 

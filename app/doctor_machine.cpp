@@ -12,7 +12,7 @@
 #include "app/address.h"
 #include "app/calibration_file.h"
 #include "app/http_token.h"
-#include "drivers/gpio.h"
+#include "drivers/gpio/gpio.h"
 #include "firmware/base/folder.h"
 
 namespace lcdm {

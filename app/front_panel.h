@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "app/config.h"
-#include "drivers/gpio.h"
+#include "drivers/gpio/gpio.h"
 #include "firmware/health/indicator.h"
 
 namespace lcdm {

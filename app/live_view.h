@@ -15,7 +15,7 @@
 
 #include "app/depth_colour.h"
 #include "app/rgb_picture.h"
-#include "drivers/codec.h"
+#include "drivers/codec/codec.h"
 #include "firmware/health/heartbeat.h"
 #include "firmware/pipeline/depth_sink.h"
 

@@ -3,7 +3,7 @@
 
 #include <vector>
 
-#include "drivers/codec.h"
+#include "drivers/codec/codec.h"
 #include "firmware/pipeline/frame_decoder.h"
 
 namespace lcdm {

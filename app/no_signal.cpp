@@ -5,7 +5,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "app/rgb_picture.h"
-#include "drivers/codec.h"
+#include "drivers/codec/codec.h"
 
 namespace lcdm {
 namespace {

@@ -12,7 +12,7 @@
 #include <thread>
 #include <vector>
 
-#include "drivers/codec.h"
+#include "drivers/codec/codec.h"
 #include "firmware/buffer/spsc_ring.h"
 #include "firmware/health/heartbeat.h"
 #include "firmware/pipeline/depth_sink.h"

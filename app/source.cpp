@@ -8,14 +8,14 @@
 #include <vector>
 
 #ifdef LCDM_LIBCAMERA
-#include "drivers/libcamera_camera.h"
+#include "drivers/libcamera/camera.h"
 #endif
 #include "drivers/mcap_camera.h"
-#include "drivers/replay_camera.h"
-#include "drivers/scene_camera.h"
+#include "drivers/replay/camera.h"
+#include "drivers/scene/camera.h"
 #include "drivers/usb_port.h"
-#include "drivers/v4l2_camera.h"
-#include "drivers/v4l2_nodes.h"
+#include "drivers/v4l2/camera.h"
+#include "drivers/v4l2/nodes.h"
 #include "firmware/base/os.h"
 
 namespace lcdm {

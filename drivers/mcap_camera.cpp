@@ -6,7 +6,7 @@
 #include <system_error>
 #include <thread>
 
-#include "drivers/codec.h"
+#include "drivers/codec/codec.h"
 #include "firmware/base/folder.h"
 #include "firmware/base/os.h"
 

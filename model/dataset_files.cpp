@@ -12,8 +12,8 @@
 #include <opencv2/imgproc.hpp>
 #include <system_error>
 
-#include "drivers/codec.h"
-#include "drivers/replay_files.h"
+#include "drivers/codec/codec.h"
+#include "drivers/replay/files.h"
 #include "firmware/base/folder.h"
 
 namespace lcdm::model::dataset {

@@ -7,9 +7,9 @@
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
-#include "drivers/scene_places.h"
-#include "drivers/scene_render.h"
-#include "drivers/scene_textures.h"
+#include "drivers/scene/places.h"
+#include "drivers/scene/render.h"
+#include "drivers/scene/textures.h"
 
 namespace lcdm::model {
 namespace {
@@ -28,10 +28,6 @@ constexpr float kLeastShare = 0.1F;   // of the points
 constexpr float kLeastUp = 0.64F;     // cosine of 50 degrees
 constexpr float kLowestEye = 0.25F;   // metres above the plane
 constexpr float kHighestEye = 3;
-
-Vec3 cross(Vec3 a, Vec3 b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
 
 // Where a pixel of known depth lies, camera axes, metres.
 Vec3 point_at(const PackFrame& frame, int x, int y) {

@@ -6,7 +6,7 @@
 #include <cstdint>
 #include <optional>
 
-#include "drivers/scene_math.h"
+#include "drivers/scene/math.h"
 #include "model/frames.h"
 
 namespace lcdm::model {

@@ -2,9 +2,9 @@
 
 #include <numeric>
 
-#include "drivers/scene_places.h"
-#include "drivers/scene_render.h"
-#include "drivers/scene_textures.h"
+#include "drivers/scene/places.h"
+#include "drivers/scene/render.h"
+#include "drivers/scene/textures.h"
 #include "model/batch.h"
 
 namespace lcdm::model {

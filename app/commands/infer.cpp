@@ -20,7 +20,7 @@
 #include "app/report.h"
 #include "app/rgb_picture.h"
 #include "app/source.h"
-#include "drivers/codec.h"
+#include "drivers/codec/codec.h"
 #include "firmware/base/exit_code.h"
 #include "firmware/base/file.h"
 #include "firmware/base/os.h"

@@ -9,12 +9,12 @@
 
 #include "app/commands/commands.h"
 #ifdef LCDM_LIBCAMERA
-#include "drivers/libcamera_camera.h"
+#include "drivers/libcamera/camera.h"
 #endif
-#include "drivers/v4l2_device.h"
-#include "drivers/v4l2_formats.h"
-#include "drivers/v4l2_nodes.h"
-#include "drivers/v4l2_queue.h"
+#include "drivers/v4l2/device.h"
+#include "drivers/v4l2/formats.h"
+#include "drivers/v4l2/nodes.h"
+#include "drivers/v4l2/queue.h"
 #include "firmware/base/exit_code.h"
 
 namespace lcdm {

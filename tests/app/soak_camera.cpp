@@ -7,7 +7,7 @@
 #include <span>
 #include <thread>
 
-#include "drivers/codec.h"
+#include "drivers/codec/codec.h"
 #include "firmware/base/check.h"
 
 namespace lcdm::test {

@@ -10,14 +10,14 @@
 #include <set>
 #include <vector>
 
-#include "drivers/codec.h"
+#include "drivers/codec/codec.h"
 #ifdef LCDM_LIBCAMERA
-#include "drivers/libcamera_camera.h"
+#include "drivers/libcamera/camera.h"
 #endif
 #include "drivers/mcap_camera.h"
-#include "drivers/replay_camera.h"
-#include "drivers/scene_camera.h"
-#include "drivers/v4l2_camera.h"
+#include "drivers/replay/camera.h"
+#include "drivers/scene/camera.h"
+#include "drivers/v4l2/camera.h"
 #include "firmware/base/alloc_watch.h"
 #include "firmware/base/os.h"
 #include "firmware/wire/foxglove.h"

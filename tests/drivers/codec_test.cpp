@@ -1,5 +1,5 @@
 // The codecs against OpenCV, whose readers and writers are not ours.
-#include "drivers/codec.h"
+#include "drivers/codec/codec.h"
 
 #include <algorithm>
 #include <cmath>

@@ -3,7 +3,7 @@
 #include <gtest/gtest.h>
 #include <limits>
 
-#include "drivers/libcamera_session.h"
+#include "drivers/libcamera/session.h"
 
 namespace lcdm {
 namespace {

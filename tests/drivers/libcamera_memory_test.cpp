@@ -3,7 +3,7 @@
 #include <unistd.h>
 #include <vector>
 
-#include "drivers/libcamera_session.h"
+#include "drivers/libcamera/session.h"
 
 namespace lcdm {
 namespace {

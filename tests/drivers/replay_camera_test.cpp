@@ -1,11 +1,10 @@
 // `file:`: what it finds, in which order, and what it says about what it cannot read.
-#include "drivers/replay_camera.h"
-
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/videoio.hpp>
 
-#include "drivers/replay_files.h"
+#include "drivers/replay/camera.h"
+#include "drivers/replay/files.h"
 #include "firmware/base/os.h"
 #include "tests/support/temporary_folder.h"
 

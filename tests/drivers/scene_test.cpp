@@ -1,6 +1,6 @@
 // The rendered scene: its depth against rays solved in double precision, its poses against its own
 // pictures, its promises about seeds, time, threads and memory.
-#include "drivers/scene.h"
+#include "drivers/scene/scene.h"
 
 #include <algorithm>
 #include <cmath>
@@ -10,9 +10,9 @@
 #include <thread>
 #include <vector>
 
-#include "drivers/scene_places.h"
-#include "drivers/scene_render.h"
-#include "drivers/scene_textures.h"
+#include "drivers/scene/places.h"
+#include "drivers/scene/render.h"
+#include "drivers/scene/textures.h"
 #include "firmware/base/alloc_watch.h"
 #include "tests/firmware/isa.h"
 

@@ -4,7 +4,7 @@
 #include <cerrno>
 #include <gtest/gtest.h>
 
-#include "drivers/v4l2_camera.h"
+#include "drivers/v4l2/camera.h"
 #include "tests/support/fake_v4l2.h"
 
 namespace lcdm {

@@ -6,7 +6,7 @@
 #include <gtest/gtest.h>
 #include <utility>
 
-#include "drivers/v4l2_camera.h"
+#include "drivers/v4l2/camera.h"
 #include "tests/support/fake_v4l2.h"
 
 namespace lcdm {

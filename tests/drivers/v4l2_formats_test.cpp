@@ -1,9 +1,9 @@
 // What is chosen from what a camera lists.
-#include "drivers/v4l2_formats.h"
-
 #include <gtest/gtest.h>
 #include <string>
 #include <vector>
+
+#include "drivers/v4l2/formats.h"
 
 namespace lcdm {
 namespace {

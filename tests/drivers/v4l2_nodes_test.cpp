@@ -1,12 +1,11 @@
 // Which nodes there are and which of them a text means, in a system that does not exist.
-#include "drivers/v4l2_nodes.h"
-
 #include <cerrno>
 #include <gtest/gtest.h>
 #include <string>
 #include <sys/fsuid.h>
 
-#include "drivers/v4l2_camera.h"
+#include "drivers/v4l2/camera.h"
+#include "drivers/v4l2/nodes.h"
 #include "firmware/base/printable.h"
 #include "tests/support/fake_v4l2.h"
 

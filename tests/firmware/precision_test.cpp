@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "drivers/scene_render.h"
+#include "drivers/scene/render.h"
 #include "firmware/nn/engine.h"
 
 namespace lcdm {

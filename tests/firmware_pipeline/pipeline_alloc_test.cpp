@@ -6,7 +6,7 @@
 #include <thread>
 #include <vector>
 
-#include "drivers/scene_camera.h"
+#include "drivers/scene/camera.h"
 #include "firmware/base/alloc_watch.h"
 #include "firmware/pipeline/pipeline.h"
 #include "tests/firmware_pipeline/fake_camera.h"
