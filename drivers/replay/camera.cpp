@@ -229,45 +229,25 @@ void ReplayCamera::stop() { streaming_ = false; }
 
 Result<CapturedFrame> ReplayCamera::dequeue(std::chrono::milliseconds timeout) {
   if (!streaming_) return Status::error(StatusCode::kInvalidInput, "file: dequeue before start");
-  const bool live = playback_ == Playback::kLive;
   auto& all = buffers_->all;
   const auto buffer =
       std::find_if(all.begin(), all.end(), [](const auto& candidate) { return candidate.free; });
-  const std::int64_t deadline =
-      os::monotonic_ns() + std::chrono::duration_cast<std::chrono::nanoseconds>(timeout).count();
-  const bool in_time = buffer != all.end() && (!live || due_ns_ <= deadline);
-  const std::int64_t until = in_time ? due_ns_ : deadline;
-  if (live || !in_time) {
-    std::this_thread::sleep_for(std::chrono::nanoseconds(until - os::monotonic_ns()));
-  }
-  if (!in_time) {
+  if (!wait_for_turn(buffer != all.end(), timeout)) {
     return Status::error(StatusCode::kTimeout, "file: no frame due or no free buffer");
   }
 
   cv::Mat& image = buffer->image;
-  Status status = reader_->read(image);
-  if (live && status.code() == StatusCode::kEndOfStream) {
-    LCDM_RETURN_IF_ERROR(reader_->rewind());
-    status = reader_->read(image);
-  }
+  const Status status = read_next(image);
   if (status.code() == StatusCode::kEndOfStream) return status;
   const std::uint64_t sequence = sequence_++;
-  const auto period = static_cast<std::int64_t>(1e9 / static_cast<double>(frames_per_second_));
-  // Offline nobody waits: the stamps alone are a period apart.
-  const std::int64_t stamp = live ? os::monotonic_ns() : due_ns_;
-  due_ns_ = live ? std::max(due_ns_ + period, stamp) : due_ns_ + period;
+  const std::int64_t stamp = take_stamp();
   LCDM_RETURN_IF_ERROR(status);
-
-  const bool other_size = image.cols != format_.width || image.rows != format_.height;
-  if (live && other_size && !without_throwing([&] {
-        cv::Mat resized;
-        cv::resize(image, resized, {format_.width, format_.height}, 0, 0, cv::INTER_AREA);
-        image = resized;
-      })) {
+  if (!live()) {
+    model_ = model_for(image.cols, image.rows);
+  } else if (!fit(image)) {
     return Status::error(StatusCode::kCorrupt, "file:%s: cannot resize frame %llu", path_.c_str(),
                          static_cast<unsigned long long>(sequence));
   }
-  if (!live) model_ = model_for(image.cols, image.rows);
 
   buffer->free = false;
   CapturedFrame frame;
@@ -277,6 +257,44 @@ Result<CapturedFrame> ReplayCamera::dequeue(std::chrono::milliseconds timeout) {
   frame.view.data = image.data;
   frame.view.bytes = image.step * static_cast<std::size_t>(image.rows);
   return frame;
+}
+
+// Sleeps until the next frame is due or, where none can be had in time, until `timeout` is over.
+bool ReplayCamera::wait_for_turn(bool has_buffer, std::chrono::milliseconds timeout) const {
+  const std::int64_t deadline =
+      os::monotonic_ns() + std::chrono::duration_cast<std::chrono::nanoseconds>(timeout).count();
+  const bool in_time = has_buffer && (!live() || due_ns_ <= deadline);
+  if (live() || !in_time) {
+    const std::int64_t until = in_time ? due_ns_ : deadline;
+    std::this_thread::sleep_for(std::chrono::nanoseconds(until - os::monotonic_ns()));
+  }
+  return in_time;
+}
+
+// Live, the first follows the last.
+Status ReplayCamera::read_next(cv::Mat& image) {
+  const Status status = reader_->read(image);
+  if (!live() || status.code() != StatusCode::kEndOfStream) return status;
+  LCDM_RETURN_IF_ERROR(reader_->rewind());
+  return reader_->read(image);
+}
+
+// Of the frame just read. Offline nobody waits: the stamps alone are a period apart.
+std::int64_t ReplayCamera::take_stamp() {
+  const auto period = static_cast<std::int64_t>(1e9 / static_cast<double>(frames_per_second_));
+  const std::int64_t stamp = live() ? os::monotonic_ns() : due_ns_;
+  due_ns_ = live() ? std::max(due_ns_ + period, stamp) : due_ns_ + period;
+  return stamp;
+}
+
+// Resized to the format's size; false where OpenCV cannot.
+bool ReplayCamera::fit(cv::Mat& image) const {
+  if (image.cols == format_.width && image.rows == format_.height) return true;
+  return without_throwing([&] {
+    cv::Mat resized;
+    cv::resize(image, resized, {format_.width, format_.height}, 0, 0, cv::INTER_AREA);
+    image = resized;
+  });
 }
 
 Status ReplayCamera::requeue(int index) {

@@ -6,6 +6,10 @@
 
 #include "firmware/pipeline/camera.h"
 
+namespace cv {
+class Mat;
+}
+
 namespace lcdm {
 
 // Frames are BGR24. Live: at the video's rate (images: the requested one), again from the beginning
@@ -40,8 +44,13 @@ class ReplayCamera final : public Camera {
   class Reader;    // OpenCV's side, so that its headers stay in the .cpp: files or an open video
   struct Buffers;  // images on loan and free
 
+  bool live() const { return playback_ == Playback::kLive; }
   Status read_first_frame();
   CameraModel model_for(int width, int height) const;
+  bool wait_for_turn(bool has_buffer, std::chrono::milliseconds timeout) const;
+  Status read_next(cv::Mat& image);
+  std::int64_t take_stamp();
+  bool fit(cv::Mat& image) const;
 
   const std::string path_;
   const Playback playback_;

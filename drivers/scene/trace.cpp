@@ -3,7 +3,7 @@
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "drivers/scene/trace.cpp"
-#include "firmware/base/simd_targets.h"
+#include "firmware/base/simd.h"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 #include "drivers/scene/simd-inl.h"

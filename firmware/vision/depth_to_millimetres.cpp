@@ -7,7 +7,7 @@
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/vision/depth_to_millimetres.cpp"
-#include "firmware/nn/kernels/simd.h"
+#include "firmware/base/simd.h"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 // clang-format on

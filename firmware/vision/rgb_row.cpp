@@ -9,7 +9,7 @@
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/vision/rgb_row.cpp"
-#include "firmware/nn/kernels/simd.h"
+#include "firmware/base/simd.h"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 // clang-format on

@@ -2,7 +2,7 @@
 #pragma once
 
 // clang-format off
-#include "firmware/nn/kernels/simd.h"
+#include "firmware/base/simd.h"
 #include "hwy/targets.h"
 // clang-format on
 

@@ -2,6 +2,7 @@
 #include <filesystem>
 #include <fstream>
 #include <gtest/gtest.h>
+#include <map>
 #include <regex>
 #include <set>
 #include <string>
@@ -74,6 +75,28 @@ TEST(DependencyRule, FirmwareNeedsOnlyTheStandardLibraryEigenAndHighway) {
     const bool is_door = starts_with(include.file, "firmware/base/os.") ||
                          starts_with(include.file, "firmware/base/alloc_");
     EXPECT_TRUE(is_door) << describe(include);
+  }
+}
+
+// Without a circle: each folder knows those before it at most.
+TEST(DependencyRule, FirmwaresFoldersStandOnEachOther) {
+  const std::map<std::string, std::vector<std::string>> below = {
+      {"base", {}},
+      {"buffer", {"base"}},
+      {"health", {"base"}},
+      {"vision", {"base", "buffer"}},
+      {"wire", {"base", "vision"}},
+      {"nn", {"base", "buffer", "vision"}},
+      {"pipeline", {"base", "buffer", "health", "vision", "nn"}}};
+  for (const auto& entry : fs::directory_iterator("firmware")) {
+    const std::string folder = entry.path().filename().string();
+    EXPECT_TRUE(!entry.is_directory() || below.count(folder) > 0)
+        << folder << " is not in the list";
+  }
+  for (const auto& [folder, others] : below) {
+    std::vector<std::string> allowed = {"firmware/" + folder + "/", "hwy/"};
+    for (const std::string& other : others) allowed.push_back("firmware/" + other + "/");
+    expect_only("firmware/" + folder, allowed);
   }
 }
 

@@ -8,7 +8,7 @@
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/attention.cpp"
-#include "firmware/nn/kernels/simd.h"
+#include "firmware/base/simd.h"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 #include "firmware/nn/kernels/gemm-inl.h"

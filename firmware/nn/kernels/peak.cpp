@@ -7,7 +7,7 @@
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/peak.cpp"
-#include "firmware/nn/kernels/simd.h"
+#include "firmware/base/simd.h"
 #include "hwy/foreach_target.h"
 #include "hwy/highway.h"
 #include "firmware/nn/kernels/math-inl.h"
