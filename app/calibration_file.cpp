@@ -1,6 +1,5 @@
 #include "app/calibration_file.h"
 
-#include <cmath>
 #include <cstdio>
 #include <variant>
 #include <vector>
@@ -161,12 +160,8 @@ Status write_calibration(const std::string& file, const Calibration& calibration
 }
 
 Result<CameraModel> model_for(const Calibration& calibration, int width, int height) {
-  constexpr double kSameShape = 0.005;
   const CameraModel& model = calibration.model;
-  const double x = static_cast<double>(width) / model.width;
-  const double y = static_cast<double>(height) / model.height;
-  if (width == model.width && height == model.height) return model;
-  if (std::fabs(x - y) <= kSameShape * x) return model.resized(width, height);
+  if (model.has_shape(width, height)) return model.resized(width, height);
   return Status::error(
       StatusCode::kInvalidInput,
       "the calibration is of %dx%d, pictures of %dx%d show another cut of the view: "

@@ -155,10 +155,8 @@ class KittiRawFrames final : public Frames {
       if (!rgb) return rgb.status();
       const Result<cv::Mat> depth = depth_of(frame, rgb->size());
       if (!depth) return depth.status();
-      const CameraModel& full = camera_of(frame).model;
-      const bool is_full = rgb->cols == full.width;
       return PackFrame{name(index), *rgb, *depth,
-                       is_full ? full : full.resized(rgb->cols, rgb->rows)};
+                       camera_of(frame).model.resized(rgb->cols, rgb->rows)};
     });
   }
 

@@ -15,31 +15,6 @@ namespace F = torch::nn::functional;
 constexpr double kNormEpsilon = 1e-5;
 constexpr int kGroups = 4;
 
-struct Stage {
-  int channels;
-  int dim;
-  int depth;
-};
-
-struct EncoderTable {
-  int ratio;
-  std::array<int, 2> early;
-  std::array<Stage, 3> late;
-  int final_channels;
-};
-
-EncoderTable table_of(EncoderKind kind) {
-  switch (kind) {
-    case EncoderKind::kXxs:
-      return {2, {16, 24}, {{{48, 64, 2}, {64, 80, 4}, {80, 96, 3}}}, 320};
-    case EncoderKind::kXs:
-      return {4, {32, 48}, {{{64, 96, 2}, {80, 120, 4}, {96, 144, 3}}}, 384};
-    case EncoderKind::kS:
-      break;
-  }
-  return {4, {32, 64}, {{{96, 144, 2}, {128, 192, 4}, {160, 240, 3}}}, 640};
-}
-
 // Rounded to a multiple of 8, never more than 10 % down (MobileNetV2).
 int make_divisible(int value) {
   const int rounded = std::max(8, (value + 4) / 8 * 8);
@@ -213,7 +188,7 @@ torch::Tensor MobileVitBlockImpl::forward(const torch::Tensor& x) {
 }
 
 MobileVitImpl::MobileVitImpl(EncoderKind kind) {
-  const EncoderTable table = table_of(kind);
+  const EncoderTable table = encoder_table(kind);
   stem = register_module("stem", ConvNorm(3, 16, 3, 2, 1, true));
   stages = register_module("stages", nn::ModuleList());
 
@@ -227,7 +202,7 @@ MobileVitImpl::MobileVitImpl(EncoderKind kind) {
   }
   stages->push_back(second);
   int in = table.early[1];
-  for (const Stage& stage : table.late) {
+  for (const EncoderTable::VitStage& stage : table.late) {
     nn::ModuleList blocks;
     blocks->push_back(InvertedResidual(in, stage.channels, 2, table.ratio));
     blocks->push_back(MobileVitBlock(stage.channels, stage.dim, stage.depth));

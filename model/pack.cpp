@@ -93,12 +93,6 @@ float number_in(const JsonValue& source, const char* key, float otherwise) {
   return value == nullptr ? otherwise : static_cast<float>(value->number().value_or(NAN));
 }
 
-// What a camera's picture is at another size; nothing is rounded where it is the same.
-CameraModel at_size(const CameraModel& camera, cv::Size size) {
-  const bool same = camera.width == size.width && camera.height == size.height;
-  return same ? camera : camera.resized(size.width, size.height);
-}
-
 // The camera that `source` describes for pictures of the size it names, at `size`.
 Result<CameraModel> described_camera(const fs::path& file, const JsonValue& source, cv::Size size) {
   const float width = number_in(source, "width", static_cast<float>(size.width));
@@ -123,7 +117,7 @@ Result<CameraModel> described_camera(const fs::path& file, const JsonValue& sour
     return Status::error(StatusCode::kCorrupt,
                          "%s: fx, fy, cx and cy must be numbers of pixels above 0", file.c_str());
   }
-  return at_size(camera, size);
+  return camera.resized(size.width, size.height);
 }
 
 // The camera of one frame: the pack's, or the frame's own where `frames` lists it.
@@ -219,7 +213,7 @@ class FolderFrames final : public Frames {
     const Result<CameraModel> camera =
         camera_of(intrinsics_, frame.name, full->size(), use_.field_of_view);
     if (!camera) return camera.status();
-    frame.camera = at_size(*camera, frame.rgb.size());
+    frame.camera = camera->resized(frame.rgb.cols, frame.rgb.rows);
     const Result<cv::Mat> depth = load_depth(folder_, frame.name, use_, intrinsics_.depth_unit,
                                              full->size(), frame.rgb.size());
     if (!depth) return depth.status();

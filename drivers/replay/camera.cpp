@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <map>
@@ -184,11 +183,8 @@ Status ReplayCamera::read_first_frame() {
 // The calibration for pictures of this size. Of another shape they show another cut of the view,
 // about which the file says nothing.
 CameraModel ReplayCamera::model_for(int width, int height) const {
-  constexpr float kSameShape = 0.02F;
-  if (calibration_.width > 0) {
-    const float x = static_cast<float>(width) / static_cast<float>(calibration_.width);
-    const float y = static_cast<float>(height) / static_cast<float>(calibration_.height);
-    if (std::abs(x - y) < kSameShape * x) return calibration_.resized(width, height);
+  if (calibration_.width > 0 && calibration_.has_shape(width, height)) {
+    return calibration_.resized(width, height);
   }
   return CameraModel::from_field_of_view(width, height, field_of_view_);
 }

@@ -6,31 +6,6 @@
 namespace lcdm {
 namespace {
 
-// MobileViT's numbers (NETWORK.md, "Encoder").
-struct VitStage {
-  int channels;
-  int dim;
-  int depth;
-};
-struct EncoderTable {
-  int ratio;
-  std::array<int, 2> early;  // output channels of stages 0 and 1
-  std::array<VitStage, 3> late;
-  int final_channels;
-};
-
-EncoderTable encoder_table(EncoderKind encoder) {
-  switch (encoder) {
-    case EncoderKind::kXxs:
-      return {2, {16, 24}, {{{48, 64, 2}, {64, 80, 4}, {80, 96, 3}}}, 320};
-    case EncoderKind::kXs:
-      return {4, {32, 48}, {{{64, 96, 2}, {80, 120, 4}, {96, 144, 3}}}, 384};
-    case EncoderKind::kS:
-      return {4, {32, 64}, {{{96, 144, 2}, {128, 192, 4}, {160, 240, 3}}}, 640};
-  }
-  LCDM_CHECK(false);
-}
-
 constexpr int kStemChannels = 16;
 constexpr int kEarlyBlocks = 3;  // of stage 1
 
@@ -178,7 +153,7 @@ class Builder {
     return linear(name + ".mlp.fc2", y, dim, Activation::kNone, x);
   }
 
-  int mobilevit(const std::string& name, int x, const VitStage& stage) {
+  int mobilevit(const std::string& name, int x, const EncoderTable::VitStage& stage) {
     int y = conv(name + ".conv_kxk", {{x}}, stage.channels, {.activation = Activation::kSilu});
     y = conv(name + ".conv_1x1", {{y}}, stage.dim, {.kernel = 1, .bias = false});
     const Shape image = shape(y);

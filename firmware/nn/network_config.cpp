@@ -3,6 +3,7 @@
 #include <cmath>
 #include <limits>
 
+#include "firmware/base/check.h"
 #include "firmware/nn/json.h"
 
 namespace lcdm {
@@ -154,6 +155,18 @@ Status read_trained_sizes(const JsonValue& root, ModelConfig& config) {
 }
 
 }  // namespace
+
+EncoderTable encoder_table(EncoderKind encoder) {
+  switch (encoder) {
+    case EncoderKind::kXxs:
+      return {2, {16, 24}, {{{48, 64, 2}, {64, 80, 4}, {80, 96, 3}}}, 320};
+    case EncoderKind::kXs:
+      return {4, {32, 48}, {{{64, 96, 2}, {80, 120, 4}, {96, 144, 3}}}, 384};
+    case EncoderKind::kS:
+      return {4, {32, 64}, {{{96, 144, 2}, {128, 192, 4}, {160, 240, 3}}}, 640};
+  }
+  LCDM_CHECK(false);
+}
 
 const char* to_string(EncoderKind encoder) {
   switch (encoder) {

@@ -20,6 +20,20 @@ const char* to_string(EncoderKind encoder);
 const char* to_string(PresetKind preset);
 const char* to_string(StartKind start);
 
+// MobileViT's numbers for one of its sizes (NETWORK.md, "Encoder").
+struct EncoderTable {
+  struct VitStage {
+    int channels;
+    int dim;
+    int depth;
+  };
+  int ratio;                     // of the inverted residuals
+  std::array<int, 2> early;      // output channels of stages 0 and 1
+  std::array<VitStage, 3> late;  // stages 2 to 4
+  int final_channels;
+};
+EncoderTable encoder_table(EncoderKind encoder);
+
 // The JSON under `lcdm` in the model file's metadata (NETWORK.md, "The model file").
 struct ModelConfig {
   static constexpr int kDiffusionSteps = 150;  // T of the noise schedule

@@ -38,7 +38,15 @@ std::optional<Point> CameraModel::unproject(const Point& pixel) const {
   return std::nullopt;
 }
 
+bool CameraModel::has_shape(int other_width, int other_height) const {
+  constexpr double kSame = 0.005;
+  const double x = static_cast<double>(other_width) / width;
+  const double y = static_cast<double>(other_height) / height;
+  return std::abs(x - y) <= kSame * x;
+}
+
 CameraModel CameraModel::resized(int new_width, int new_height) const {
+  if (new_width == width && new_height == height) return *this;  // nothing is rounded
   const float sx = static_cast<float>(new_width) / static_cast<float>(width);
   const float sy = static_cast<float>(new_height) / static_cast<float>(height);
   CameraModel out = *this;

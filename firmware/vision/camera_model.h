@@ -34,6 +34,9 @@ struct CameraModel {
   // The ray seen at `pixel`; none where the lens model cannot be inverted.
   std::optional<Point> unproject(const Point& pixel) const;
 
+  // Whether pictures of this size can show the same view: their sides are in the same proportion,
+  // to half a percent.
+  bool has_shape(int other_width, int other_height) const;
   // The model of the same view resized to width x height (each axis by its own factor).
   CameraModel resized(int new_width, int new_height) const;
 
