@@ -47,9 +47,8 @@ std::vector<Finding> examine(const Config& configured, const std::string& root) 
   findings.push_back(
       check_disk(config.record.directory, config.record.keep_free_megabytes, account));
   add(check_files(config, account));
-  const std::vector<std::string> addresses = listen_addresses(config.http.listen);
-  for (const std::string& address : addresses) {
-    findings.push_back(check_port(address, config.http.port, addresses.size() == 1));
+  for (const std::string& address : listen_addresses(config.http.listen)) {
+    findings.push_back(check_port(address, config.http.port));
   }
   findings.push_back(check_clock(clock_is_synchronised()));
   findings.push_back(check_hardware_watchdog(root));

@@ -126,7 +126,7 @@ std::vector<Finding> check_files(const Config& config, const Account& account) {
   return unusable;
 }
 
-Finding check_port(const std::string& listen, int port, bool is_only) {
+Finding check_port(const std::string& listen, int port) {
   const int error = bind_error(listen, port);
   const std::string place = listen + ":" + std::to_string(port);
   if (error == EADDRINUSE) {
@@ -134,11 +134,8 @@ Finding check_port(const std::string& listen, int port, bool is_only) {
                                " is in use: by lcdm itself if it runs, else choose another "
                                "http.port");
   }
-  const bool lacking = error == EADDRNOTAVAIL || error == EAFNOSUPPORT;
-  if (lacking && !is_only) {
-    return warning("port", place +
-                               ": this machine lacks that address now, or its HTTP library IPv6: "
-                               "lcdm leaves it out until it is started again");
+  if (error == EADDRNOTAVAIL) {
+    return warning("port", place + ": this machine lacks that address now: lcdm waits for it");
   }
   if (error != 0) {
     return fault("port", place + ": " + std::generic_category().message(error) +
