@@ -26,7 +26,7 @@ class CalibratedCamera final : public Camera {
     if (own.calibrated) return Status::ok();
     const Status fits = model_for(calibration_, own.width, own.height).status();
     if (fits) return fits;
-    camera_->stop();
+    camera_->close();
     return pluggable_ ? Status::error(StatusCode::kNotFound, "%s", fits.text()) : fits;
   }
   CameraModel model() const override {
@@ -49,6 +49,7 @@ class CalibratedCamera final : public Camera {
   }
   Status requeue(int index) override { return camera_->requeue(index); }
   void stop() override { camera_->stop(); }
+  void close() override { camera_->close(); }
 
  private:
   const std::unique_ptr<Camera> camera_;

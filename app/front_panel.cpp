@@ -9,6 +9,9 @@ namespace {
 
 // The heartbeat output changes its level this often: 2 Hz.
 constexpr std::int64_t kHalfBeatNs = 250'000'000;
+// Looks in a row at which a line may fail, as an expander on a disturbed bus does, before it is
+// given up.
+constexpr int kMostFailures = 10;
 
 }  // namespace
 
@@ -20,13 +23,13 @@ FrontPanel::FrontPanel(const Config::Gpio& names)
   drive(light_, true);  // booting
 }
 
-FrontPanel::LinePtr FrontPanel::request(const char* key, const std::string& name, GpioUse use) {
-  if (name.empty()) return nullptr;
-  Result<LinePtr> line = request_gpio_line(name, use);
-  if (line) return std::move(*line);
+FrontPanel::Line FrontPanel::request(const char* key, const std::string& name, GpioUse use) {
+  if (name.empty()) return {};
+  Result<std::unique_ptr<GpioLine>> line = request_gpio_line(name, use);
+  if (line) return {std::move(*line)};
   warnings_.push_back(std::string("gpio.") + key + ": " + line.status().text());
   std::fprintf(stderr, "lcdm: warning: %s; going on without\n", warnings_.back().c_str());
-  return nullptr;
+  return {};
 }
 
 Press FrontPanel::look(DeviceState state, bool alive, std::int64_t now_ns) {
@@ -34,30 +37,27 @@ Press FrontPanel::look(DeviceState state, bool alive, std::int64_t now_ns) {
   state_ = state;
   drive(light_, is_lit(state, now_ns - state_since_ns_));
   drive(heartbeat_, alive && now_ns / kHalfBeatNs % 2 == 0);
-  if (!button_line_) return Press::kNone;
-  const Result<bool> pressed = button_line_->get();
-  if (pressed) return button_.look(*pressed, now_ns);
-  give_up(button_line_, pressed.status());
-  return Press::kNone;
+  if (!button_line_.gpio) return Press::kNone;
+  const Result<bool> pressed = button_line_.gpio->get();
+  judge(button_line_, pressed.status());
+  return pressed ? button_.look(*pressed, now_ns) : Press::kNone;
 }
 
 void FrontPanel::release() {
-  light_.reset();
-  button_line_.reset();
-  heartbeat_.reset();
+  for (Line* line : {&light_, &button_line_, &heartbeat_}) line->gpio.reset();
 }
 
-void FrontPanel::drive(LinePtr& line, bool active) {
-  if (!line) return;
-  const Status status = line->set(active);
-  if (!status) give_up(line, status);
+void FrontPanel::drive(Line& line, bool active) {
+  if (line.gpio) judge(line, line.gpio->set(active));
 }
 
-// A line that fails is a line less.
-void FrontPanel::give_up(LinePtr& line, const Status& why) {
-  warnings_.emplace_back(why.text());
-  std::fprintf(stderr, "lcdm: warning: %s; going on without\n", why.text());
-  line.reset();
+// A line that goes on failing is a line less.
+void FrontPanel::judge(Line& line, const Status& status) {
+  line.failures = status ? 0 : line.failures + 1;
+  if (line.failures < kMostFailures) return;
+  warnings_.emplace_back(status.text());
+  std::fprintf(stderr, "lcdm: warning: %s; going on without\n", status.text());
+  line.gpio.reset();
 }
 
 }  // namespace lcdm

@@ -29,16 +29,19 @@ class FrontPanel {
   const std::vector<std::string>& warnings() const { return warnings_; }
 
  private:
-  using LinePtr = std::unique_ptr<GpioLine>;
+  struct Line {
+    std::unique_ptr<GpioLine> gpio;  // null: not wanted, or given up
+    int failures = 0;                // in a row
+  };
 
-  LinePtr request(const char* key, const std::string& name, GpioUse use);
-  void drive(LinePtr& line, bool active);
-  void give_up(LinePtr& line, const Status& why);
+  Line request(const char* key, const std::string& name, GpioUse use);
+  void drive(Line& line, bool active);
+  void judge(Line& line, const Status& status);
 
   std::vector<std::string> warnings_;
-  LinePtr light_;
-  LinePtr button_line_;
-  LinePtr heartbeat_;
+  Line light_;
+  Line button_line_;
+  Line heartbeat_;
   Button button_;
   DeviceState state_ = DeviceState::kBooting;
   std::int64_t state_since_ns_ = 0;

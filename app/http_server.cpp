@@ -282,7 +282,13 @@ std::string HttpServer::address() const {
   return "http://" + host + ":" + std::to_string(port_) + "/";
 }
 
-std::string HttpServer::local_address() const { return reachable_address(options_.listen.front()); }
+std::string HttpServer::local_address() const {
+  for (const std::string& listen : options_.listen) {
+    std::string address = reachable_address(listen);
+    if (bind_error(address, 0) == 0) return address;
+  }
+  return {};
+}
 
 int HttpServer::log_message(const mg_connection* connection, const char* text) {
   auto* server = static_cast<HttpServer*>(mg_get_user_data(mg_get_context(connection)));

@@ -101,7 +101,7 @@ class HttpServer {
   // Where a browser finds us, e.g. http://127.0.0.1:8080/
   std::string address() const;
   int port() const { return port_; }
-  // The address, a number, at which this machine itself reaches it.
+  // The address, a number, at which this machine itself reaches it; empty: all have gone.
   std::string local_address() const;
 
  private:

@@ -4,8 +4,9 @@
 #include <cerrno>
 #include <fcntl.h>
 #include <sys/stat.h>
-#include <system_error>
 #include <unistd.h>
+
+#include "firmware/base/file.h"
 
 namespace lcdm {
 namespace {
@@ -14,22 +15,17 @@ constexpr std::size_t kLeast = 16;
 constexpr std::size_t kMost = 256;
 constexpr std::string_view kScheme = "Bearer ";
 
-Status unreadable(const std::string& file, int error) {
-  return Status::error(StatusCode::kInvalidInput, "http.token_file: cannot read %s: %s",
-                       file.c_str(), std::generic_category().message(error).c_str());
-}
-
 // At most one byte more than a token and its line's end.
 Result<std::string> read_start(const std::string& file) {
   const int descriptor = open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
-  if (descriptor < 0) return unreadable(file, errno);
+  if (descriptor < 0) return unreadable_file("http.token_file", file, errno);
   struct stat facts {};
   const bool known = fstat(descriptor, &facts) == 0;
   std::string text(kMost + 2, '\0');
   const ssize_t got = known ? read(descriptor, text.data(), text.size()) : -1;
   const int error = errno;
   close(descriptor);
-  if (got < 0) return unreadable(file, error);
+  if (got < 0) return unreadable_file("http.token_file", file, error);
   if (!S_ISREG(facts.st_mode)) {
     return Status::error(StatusCode::kInvalidInput, "http.token_file: %s is no regular file",
                          file.c_str());

@@ -96,10 +96,13 @@ bool Page::serve_again() {
   return true;
 }
 
-// Until it answers, whatever it says: it lives. False when the page stops.
+// Until it answers, whatever it says: it lives. Not where all its addresses have gone: then it
+// cannot be asked. False when the page stops.
 bool Page::ask() {
   heartbeat_.beat(os::monotonic_ns());
-  while (!http_get(server_->local_address(), server_->port(), "/healthz")) {
+  while (true) {
+    const std::string address = server_->local_address();
+    if (address.empty() || http_get(address, server_->port(), "/healthz")) break;
     if (stops_within(kPauseAfterSilence)) return false;
   }
   heartbeat_.rest();

@@ -94,7 +94,14 @@ Status Recorder::start(const std::string& source, const FrameFormat& format,
   }
   frames_ = dropped_ = bytes_ = 0;
   stopping_ = false;
-  thread_ = std::thread([this] { record_loop(); });
+  try {
+    thread_ = std::thread([this] { record_loop(); });
+  } catch (const std::system_error& refused) {
+    writer_.reset();
+    const std::lock_guard lock(mutex_);
+    under_way_ = false;
+    return Status::system(refused.code().value(), "recording: no thread for it");
+  }
   taking_ = true;
   return Status::ok();
 }

@@ -6,6 +6,8 @@
 #include <sstream>
 #include <string_view>
 
+#include "firmware/base/file.h"
+
 namespace lcdm {
 namespace {
 
@@ -106,10 +108,7 @@ Status read_toml(const std::string& file, const std::string& what,
                  const std::function<Status(const toml::value&)>& use) {
   std::error_code error;
   const std::uintmax_t bytes = std::filesystem::file_size(file, error);
-  if (error) {
-    return config_error(
-        file, "cannot read the " + what + " (" + error.message() + "): give an existing file");
-  }
+  if (error) return unreadable_file(("the " + what).c_str(), file, error.value());
   if (bytes > kMaxFileBytes) return config_error(file, "larger than 256 KiB: not a " + what);
   try {
     std::ifstream stream(file, std::ios::binary);

@@ -226,20 +226,28 @@ Status McapCamera::fetch(std::int64_t deadline_ns) {
   }
 }
 
-// Learns size and intrinsics from the first readable picture.
+// Goes on to the first picture whose head can be read: a camera's first frames may be damaged, and
+// the recorder keeps what came.
+Result<FrameFormat> McapCamera::find_first_picture() {
+  std::string damage;
+  while (true) {
+    const Status fetched = fetch(INT64_MAX);
+    if (fetched.code() == StatusCode::kCorrupt) continue;
+    if (!fetched) {
+      return Status::error(StatusCode::kInvalidInput, "mcap:%s: no JPEG pictures in it (%s)",
+                           path_.c_str(), damage.empty() ? fetched.text() : damage.c_str());
+    }
+    Result<FrameFormat> format = JpegDecoder::format_of(
+        {reinterpret_cast<const std::uint8_t*>(pending_.data()), pending_.size()});
+    if (format) return format;
+    damage = format.status().text();
+  }
+}
+
+// Learns size and intrinsics.
 Status McapCamera::inspect_first_frame(float assumed_field_of_view) {
-  Status status = fetch(INT64_MAX);
-  while (status.code() == StatusCode::kCorrupt) status = fetch(INT64_MAX);
-  if (!status) {
-    return Status::error(StatusCode::kInvalidInput, "mcap:%s: no JPEG pictures in it (%s)",
-                         path_.c_str(), status.text());
-  }
-  const Result<FrameFormat> format = JpegDecoder::format_of(
-      {reinterpret_cast<const std::uint8_t*>(pending_.data()), pending_.size()});
-  if (!format) {
-    return Status::error(StatusCode::kCorrupt, "mcap:%s: its first picture is no valid JPEG (%s)",
-                         path_.c_str(), format.status().text());
-  }
+  const Result<FrameFormat> format = find_first_picture();
+  if (!format) return format.status();
   format_ = *format;
   if (format_.width > kMaxSide || format_.height > kMaxSide) {
     return Status::error(StatusCode::kUnsupported,

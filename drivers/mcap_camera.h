@@ -48,6 +48,7 @@ class McapCamera final : public Camera {
   Status open_readable_segment(std::size_t index);
   Result<wire::McapMessage> next_message();
   Status fetch(std::int64_t deadline_ns);
+  Result<FrameFormat> find_first_picture();
   Status inspect_first_frame(float assumed_field_of_view);
   Slot* find_free_slot(int& index);
 

@@ -173,5 +173,6 @@ Result<CapturedFrame> LibcameraCamera::dequeue(std::chrono::milliseconds timeout
 }
 Status LibcameraCamera::requeue(int index) { return session_->requeue(index); }
 void LibcameraCamera::stop() { session_->stop(); }
+void LibcameraCamera::close() { session_->close(); }
 
 }  // namespace lcdm

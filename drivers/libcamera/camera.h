@@ -34,6 +34,7 @@ class LibcameraCamera final : public Camera {
   Result<CapturedFrame> dequeue(std::chrono::milliseconds timeout) override;
   Status requeue(int index) override;
   void stop() override;
+  void close() override;
 
  private:
   std::unique_ptr<LibcameraSession> session_;  // keeps libcamera's types out of this header

@@ -59,6 +59,7 @@ class LibcameraSession {
   Result<CapturedFrame> dequeue(std::chrono::milliseconds timeout);
   Status requeue(int index);
   void stop();
+  void close();
   CameraInfo info() const;
 
   FrameFormat format;
@@ -90,7 +91,6 @@ class LibcameraSession {
   Status map_buffers();
   Status map_slot(Slot& slot) const;
   void set_controls(const CaptureRequest& request);
-  void close();
   void on_complete(libcamera::Request* request);
   void on_disconnect();
   Status failure(int result, const char* what) const;

@@ -17,9 +17,9 @@ namespace lcdm {
 V4l2Camera::V4l2Camera(std::string selector) : selector_(std::move(selector)) {}
 
 Status V4l2Camera::configure(const CaptureRequest& request) {
-  close_device();
+  close();
   const Status status = open_and_configure(request);
-  if (!status) close_device();
+  if (!status) close();
   return status;
 }
 
@@ -48,7 +48,7 @@ Status V4l2Camera::open_and_configure(const CaptureRequest& request) {
   return Status::ok();
 }
 
-void V4l2Camera::close_device() {
+void V4l2Camera::close() {
   queue_.unmap();
   device_.close();
 }

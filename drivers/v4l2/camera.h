@@ -28,10 +28,10 @@ class V4l2Camera final : public Camera {
   Result<CapturedFrame> dequeue(std::chrono::milliseconds timeout) override;
   Status requeue(int index) override { return queue_.enqueue(index); }
   void stop() override { queue_.stop(); }
+  void close() override;
 
  private:
   Status open_and_configure(const CaptureRequest& request);
-  void close_device();
   Status take(V4l2Filled& filled, std::chrono::milliseconds timeout);
   Status wait_readable(std::int64_t deadline_ns);
   Status take_event();

@@ -62,7 +62,7 @@ Status V4l2Device::open(const std::string& path) {
 Status V4l2Device::query() {
   v4l2_capability capability{};
   if (const int fault = control(VIDIOC_QUERYCAP, &capability); fault != 0) {
-    if (fault == ENODEV) return failure(fault, "cannot ask what it is");
+    if (fault != ENOTTY && fault != EINVAL) return failure(fault, "cannot ask what it is");
     return Status::error(StatusCode::kUnsupported, "v4l2:%s: this is no V4L2 device",
                          path_.c_str());
   }

@@ -85,9 +85,10 @@ V4l2Node examine(const std::string& path) {
   node.bus = device.bus();
   if (!opened) {
     node.reason = opened.text();
-    node.closed = opened.sys_errno() == EACCES;
-    if (node.closed)
+    node.broken = opened.code() == StatusCode::kIoError;
+    if (node.broken) {
       node.card = attribute("/sys/class/video4linux" / fs::path(path).filename(), "name");
+    }
   } else {
     const std::vector<V4l2Mode> modes = list_modes(device, {});
     node.usable = choose_mode(modes, {}).has_value();
@@ -117,19 +118,15 @@ Result<std::string> find_v4l2_node(const std::string& selector) {
   if (!any && !by_serial && !by_name) return selector;
   const std::string wanted = any ? "" : selector.substr(selector.find('=') + 1);
   std::string reasons;
-  std::string closed;
+  std::string broken;
   for (const V4l2Node& node : list_v4l2_nodes()) {
     if (!any && wanted != (by_serial ? node.serial : node.card)) continue;
     if (node.usable) return node.path;
-    if (node.closed) closed = node.path;
+    if (node.broken && broken.empty()) broken = node.path;
     reasons += (reasons.empty() ? "" : "; ") + node.reason;
   }
-  // One that is there and locked is no absence: waiting for it would be for ever.
-  if (!closed.empty()) {
-    return Status::system(EACCES,
-                          "v4l2:%.120s: %s may not be opened: add this user to the group video",
-                          selector.c_str(), closed.c_str());
-  }
+  // One that is there and locked, or that fails, is no absence: waiting for it would be for ever.
+  if (!broken.empty()) return broken;
   if (!reasons.empty()) {
     return Status::error(StatusCode::kNotFound, "v4l2:%.80s: no usable camera: %s",
                          selector.c_str(), reasons.c_str());

@@ -19,7 +19,7 @@ struct V4l2Node {
   float usb_mbps = 0;     // the speed USB agreed on; 0: not on USB
   float usb_version = 0;  // that the camera was made for, as 3.2; 0: not on USB
   bool usable = false;    // captures video by streaming, in a format we read
-  bool closed = false;    // this user may not open it; `card` is then what the kernel calls it
+  bool broken = false;    // cannot be opened, by this user or now; `card` is the kernel's name then
   std::string reason;     // when not usable: one line that names it, with the cure
 };
 
@@ -28,8 +28,8 @@ std::vector<V4l2Node> list_v4l2_nodes();
 
 // The node that `selector` means now: a path (a node, or a link as /dev/v4l/by-id/...), any (the
 // first usable node), serial=TEXT or name=TEXT (the first usable node of the camera with exactly
-// that serial or name). kNotFound: no such camera is plugged in, or none that is usable. kIoError
-// with EACCES: there is one that this user may not open. A path is not looked at.
+// that serial or name); where none is usable the first that is broken: opening it says why.
+// kNotFound: no such camera is plugged in, or none that is usable. A path is not looked at.
 Result<std::string> find_v4l2_node(const std::string& selector);
 
 // What means `node` also after replugging and restarting, while `all` are there: its serial, its

@@ -28,6 +28,14 @@ Status write_file(const std::string& path, std::string_view text) {
   return write_file(path, std::as_bytes(std::span(text)));
 }
 
+Status unreadable_file(const char* what, const std::string& path, int sys_errno) {
+  const bool lasts = sys_errno == ENOENT || sys_errno == ENOTDIR || sys_errno == EISDIR ||
+                     sys_errno == ELOOP || sys_errno == ENAMETOOLONG || sys_errno == EACCES;
+  const Status fault = Status::system(sys_errno, "cannot read %s %.120s", what, path.c_str());
+  if (!lasts) return fault;
+  return Status::error(StatusCode::kInvalidInput, "%s: give an existing file", fault.text());
+}
+
 FileReplacement::FileReplacement(std::string path)
     : path_(std::move(path)), unfinished_(path_ + ".new") {
   std::remove(unfinished_.c_str());

@@ -15,6 +15,11 @@ namespace lcdm {
 Status write_file(const std::string& path, std::span<const std::byte> bytes);
 Status write_file(const std::string& path, std::string_view text);
 
+// Why `path` could not be read, by its errno; `what` is its name for a person ("the model").
+// kInvalidInput: it is not there or may not be read, until somebody mends that; kIoError: what may
+// pass.
+Status unreadable_file(const char* what, const std::string& path, int sys_errno);
+
 // A file that takes its path once it is whole and on the disk: whatever comes before, a full disk
 // or a power cut, leaves the one that was there. What is planted at the name that it has meanwhile
 // (path.new) is not followed.

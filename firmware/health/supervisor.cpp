@@ -10,6 +10,8 @@ namespace {
 
 // A source that gave a frame this recently gives frames: no depth then is our own fault.
 constexpr std::int64_t kFramesComeNs = 1'500'000'000;
+// As long as two periods of the slowest rate that may be configured: refused all the time.
+constexpr std::int64_t kRefusedNs = 4'000'000'000;
 // The pipeline's threads live in this order, after main.
 constexpr std::array<const char*, 3> kVitalThreads = {"main", "capture", "infer"};
 
@@ -93,12 +95,14 @@ void Supervisor::follow_progress(const Observation& seen) {
   last_call_ns_ = seen.now_ns;
   if (pipeline.captured != captured_) last_frame_ns_ = seen.now_ns;
   // A camera whose pictures are broken gives nothing either: the ladder has its time with it.
-  if (pipeline.corrupt != corrupt_ && pipeline.failed == failed_) last_broken_ns_ = seen.now_ns;
-  const auto lately = [&](std::int64_t when_ns) {
-    return when_ns >= 0 && seen.now_ns - when_ns < kFramesComeNs;
+  if (pipeline.corrupt != corrupt_) last_broken_ns_ = seen.now_ns;
+  if (pipeline.failed != failed_) last_refused_ns_ = seen.now_ns;
+  const auto within = [&](std::int64_t limit_ns, std::int64_t when_ns) {
+    return when_ns >= 0 && seen.now_ns - when_ns < limit_ns;
   };
-  const bool frames_come = lately(last_frame_ns_) && !lately(last_broken_ns_);
-  waiting_ = gives_nothing(pipeline.state) && !frames_come;
+  const bool whole =
+      within(kFramesComeNs, last_frame_ns_) && !within(kFramesComeNs, last_broken_ns_);
+  waiting_ = gives_nothing(pipeline.state) && !whole && !within(kRefusedNs, last_refused_ns_);
   const bool nearer = pipeline.inferred != inferred_ || pipeline.prepared != prepared_;
   if (!begun_ || waiting_ || nearer) last_progress_ns_ = seen.now_ns;
   captured_ = pipeline.captured;

@@ -110,6 +110,7 @@ class Supervisor {
   std::uint64_t prepared_ = 0;
   std::int64_t last_frame_ns_ = -1;    // when `captured` last rose
   std::int64_t last_broken_ns_ = -1;   // when a picture that could not be decoded was last seen
+  std::int64_t last_refused_ns_ = -1;  // when the engine last refused one that was whole
   std::int64_t last_progress_ns_ = 0;  // when depth last came or came nearer, or could not come
   std::int64_t output_fault_since_ns_ = -1;  // negative: there is none
   bool waiting_ = false;                     // declared, and no frame comes

@@ -9,6 +9,7 @@
 #include <memory>
 #include <utility>
 
+#include "firmware/base/file.h"
 #include "firmware/nn/json.h"
 
 namespace lcdm {
@@ -106,19 +107,12 @@ namespace {
 
 // Of a file that is not there, or not for us, no later try makes a model; of a disk that fails, it
 // may.
-Status unreadable(const char* what, const std::string& path, int error) {
-  const bool lasts = error == ENOENT || error == ENOTDIR || error == EISDIR || error == EACCES;
-  const Status fault = Status::system(error, "cannot %s the model %.120s", what, path.c_str());
-  if (!lasts) return fault;
-  return Status::error(StatusCode::kInvalidInput, "%s: give an existing file", fault.text());
-}
-
 }  // namespace
 
 Result<ModelFile> ModelFile::load(const std::string& path) {
   const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(std::fopen(path.c_str(), "rb"),
                                                              &std::fclose);
-  if (file == nullptr) return unreadable("open", path, errno);
+  if (file == nullptr) return unreadable_file("the model", path, errno);
   std::vector<std::byte> bytes;
   std::vector<std::byte> block(1U << 20);
   while (true) {
@@ -131,7 +125,7 @@ Result<ModelFile> ModelFile::load(const std::string& path) {
     }
     if (got < block.size()) break;
   }
-  if (std::ferror(file.get()) != 0) return unreadable("read", path, errno);
+  if (std::ferror(file.get()) != 0) return unreadable_file("the model", path, errno);
   Result<ModelFile> model = parse(std::move(bytes));
   if (model) return model;
   return Status::error(StatusCode::kInvalidInput, "%.100s: %s", path.c_str(),

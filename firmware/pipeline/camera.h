@@ -57,7 +57,8 @@ struct CapturedFrame {
 
 // Owns its buffers. Used from one thread at a time: configure and info where it is opened,
 // everything else on the capture thread. Life cycle: configure -> start -> (dequeue, requeue)* ->
-// stop, and again from configure; destruction stops. Between start and stop nothing allocates.
+// stop, and again from start or configure; from configure after close. Destruction closes. Between
+// start and stop nothing allocates.
 class Camera {
  public:
   virtual ~Camera() = default;
@@ -83,6 +84,9 @@ class Camera {
   // Gives a dequeued buffer back for reuse.
   virtual Status requeue(int index) = 0;
   virtual void stop() = 0;
+  // Stops, and lets go of the device: none of it stays open until the next configure. A device that
+  // leaves while it is open comes back under another name.
+  virtual void close() { stop(); }
 };
 
 }  // namespace lcdm

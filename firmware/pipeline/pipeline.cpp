@@ -124,7 +124,7 @@ void Pipeline::capture_loop(const Status& opened) {
     }
   }
   alloc_watch::unseal_thread();
-  close_camera();
+  stop_camera();
 }
 
 void Pipeline::forward(const CapturedFrame& captured) {
@@ -150,7 +150,7 @@ Status Pipeline::give_back_returned() {
   return Status::ok();
 }
 
-void Pipeline::close_camera() {
+void Pipeline::stop_camera() {
   mailbox_.clear();
   health_.set_dropped(mailbox_.dropped());
   wait_until_nothing_is_lent();

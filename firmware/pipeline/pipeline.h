@@ -113,7 +113,7 @@ class Pipeline {
   void forward(const CapturedFrame& captured);
   void note_stamp(StampSource stamp);
   Status give_back_returned();
-  void close_camera();
+  void stop_camera();
   void wait_until_nothing_is_lent();
   Status configure_camera();
 

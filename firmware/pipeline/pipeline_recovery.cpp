@@ -78,9 +78,10 @@ bool Pipeline::judge_depth() {
 // ends: then the state is kFault, and the rest is the owner's.
 bool Pipeline::recover(Status fault) {
   alloc_watch::unseal_thread();
-  close_camera();
+  stop_camera();
   if (!pool_) ladder_.note_nothing_open();
   while (!fault.is_ok() && !stopping_) {
+    if (is_absence(fault.code())) camera_.close();
     declare(fault);
     const RecoveryStep step = ladder_.next(kind_of(fault), os::monotonic_ns());
     health_.note_recovery(step.rung);
@@ -149,6 +150,7 @@ Status Pipeline::climb(RecoveryRung rung) {
 void Pipeline::reset_port() {
   // The camera's own words, not source()'s: one that could never be opened is in none.
   const std::string usb = camera_.info().usb;
+  camera_.close();
   if (options_.port == nullptr || !options_.port->reset(usb)) health_.note_reset_skipped();
 }
 

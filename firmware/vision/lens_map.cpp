@@ -85,8 +85,9 @@ Result<std::vector<CameraBox>> make_lens_map(const CameraModel& camera, const Ca
       const double wide = right.x - left.x;
       const double high = below.y - above.y;
       const double twist = (right.y - left.y) * (below.x - above.x);
-      if (!(wide > 0 && high > 0 && wide * high > twist)) return folded();
       const Point at = seen(u, v);
+      const bool seen_at_all = std::isfinite(at.x) && std::isfinite(at.y);
+      if (!(seen_at_all && wide > 0 && high > 0 && wide * high > twist)) return folded();
       map.push_back(
           {around(at.x + 0.5, wide, camera.width), around(at.y + 0.5, high, camera.height)});
     }

@@ -171,7 +171,8 @@ TEST_F(ConfigFile, SurvivesHostileBytes) {
 TEST(ConfigSource, AMissingFileIsSaidSo) {
   const auto config = load_config({"/nowhere/lcdm.toml", {}, {}});
   ASSERT_FALSE(config);
-  EXPECT_THAT(config.status().text(), StartsWith("/nowhere/lcdm.toml: cannot read"));
+  EXPECT_THAT(config.status().text(),
+              StartsWith("cannot read the configuration /nowhere/lcdm.toml: No such"));
 }
 
 TEST_F(ConfigFile, CommandLineWinsOverEnvironmentOverFile) {

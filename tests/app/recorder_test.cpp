@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
+#include <cstring>
 #include <fcntl.h>
 #include <filesystem>
 #include <fstream>
@@ -16,6 +17,7 @@
 #include <thread>
 #include <vector>
 
+#include "drivers/codec/codec.h"
 #include "drivers/mcap_camera.h"
 #include "tests/support/temporary_folder.h"
 
@@ -119,6 +121,32 @@ TEST_F(RecorderTest, ARecordingPlaysBackAsASourceWithItsStampsAndIntrinsics) {
     ASSERT_TRUE(camera.requeue(played->index));
   }
   EXPECT_EQ(camera.dequeue(milliseconds(10)).code(), StatusCode::kEndOfStream);
+}
+
+// As a camera's first one after its start may be: the recorder keeps what comes.
+TEST_F(RecorderTest, ADamagedFirstPictureCostsThatPictureOnly) {
+  JpegWriter writer(kKeptQuality);
+  const auto jpeg = writer.encode(frame(0));
+  ASSERT_TRUE(jpeg) << jpeg.status().text();
+  std::vector<std::uint8_t> bytes(jpeg->size());
+  std::memcpy(bytes.data(), jpeg->data(), bytes.size());
+  std::vector<std::uint8_t> damaged = bytes;
+  std::fill_n(damaged.begin(), 16, std::uint8_t{0});
+  const FrameFormat mjpeg{PixelFormat::kMjpeg, 64, 48, 0};
+
+  Recorder recorder(options());
+  ASSERT_TRUE(recorder.start("v4l2:any", mjpeg, kCamera));
+  for (int i = 0; i < 5; ++i) {
+    std::vector<std::uint8_t>& picture = i == 0 ? damaged : bytes;
+    ASSERT_TRUE(recorder.push({mjpeg, frame(i).meta, picture.data(), picture.size()}));
+  }
+  recorder.stop();
+
+  McapCamera camera(folder_.string(), McapCamera::Playback::kOffline);
+  const Status configured = camera.configure({});
+  ASSERT_TRUE(configured) << configured.text();
+  EXPECT_EQ(camera.format(), mjpeg);
+  EXPECT_EQ(camera.model().width, 64);
 }
 
 // Each chunk begins with a calibration; a foreign recording may have gigabytes between two

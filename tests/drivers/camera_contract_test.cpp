@@ -298,6 +298,15 @@ TEST_P(CameraContract, ConfiguredAnewItWorksAgainEvenWithoutAStop) {
   }
 }
 
+TEST_P(CameraContract, ClosedItWorksAgainOnceItIsConfigured) {
+  for (int round = 0; round < 2; ++round) {
+    ASSERT_NO_FATAL_FAILURE(configure_and_start());
+    ASSERT_NO_FATAL_FAILURE(pass_one_frame());
+    camera_->close();
+    EXPECT_FALSE(camera_->dequeue(milliseconds(10)));
+  }
+}
+
 TEST_P(CameraContract, BeforeConfigureNothingStarts) { EXPECT_FALSE(camera_->start()); }
 
 TEST_P(CameraContract, KeepsItsPace) {

@@ -1,8 +1,10 @@
 // Which nodes there are and which of them a text means, in a system that does not exist.
 #include <cerrno>
+#include <filesystem>
 #include <gtest/gtest.h>
 #include <string>
 #include <sys/fsuid.h>
+#include <system_error>
 
 #include "drivers/v4l2/camera.h"
 #include "drivers/v4l2/nodes.h"
@@ -106,6 +108,26 @@ TEST_F(V4l2NodesTest, ALinkThatSurvivesReplugsOpensItsCamera) {
   EXPECT_EQ(camera.info().usb, FakeV4l2::kUsbPath) << "the port behind the link is known";
 }
 
+TEST_F(V4l2NodesTest, AClosedCameraHoldsItsNodeNoMore) {
+  const FakeV4l2 device(on_usb_);
+  const auto held = [] {  // the simulated node lies in a folder of its own
+    int nodes = 0;
+    for (const auto& descriptor : std::filesystem::directory_iterator("/proc/self/fd")) {
+      std::error_code gone;
+      nodes += std::filesystem::read_symlink(descriptor, gone).filename() == "video0" ? 1 : 0;
+    }
+    return nodes;
+  };
+  const int by_the_fake = held();
+  V4l2Camera camera("any");
+  ASSERT_TRUE(camera.configure({}));
+  ASSERT_TRUE(camera.start());
+  EXPECT_EQ(held(), by_the_fake + 1);
+  camera.close();
+  EXPECT_EQ(held(), by_the_fake);
+  EXPECT_EQ(camera.info().usb, FakeV4l2::kUsbPath) << "for the reset of its port";
+}
+
 TEST_F(V4l2NodesTest, WhatLastsIsWhatNoOtherCameraHas) {
   const FakeV4l2 device(on_usb_);
   const V4l2Node ours = list_v4l2_nodes().at(0);
@@ -138,11 +160,25 @@ TEST_F(V4l2NodesTest, ACameraThatMayNotBeOpenedIsNotAbsent) {
   device.close_to_everybody();
   const NoSuperuser here;
   for (const char* selector : {"any", "serial=F00D", "name=fake"}) {
-    const Status status = find_v4l2_node(selector).status();
+    V4l2Camera camera(selector);
+    const Status status = camera.configure({});
+    EXPECT_EQ(camera.info().usb, FakeV4l2::kUsbPath) << "whose port is known";
     EXPECT_EQ(status.sys_errno(), EACCES) << selector << ": " << status.text();
     EXPECT_NE(std::string(status.text()).find("group video"), std::string::npos) << status.text();
   }
   EXPECT_EQ(find_v4l2_node("serial=BEEF").code(), StatusCode::kNotFound) << "another camera";
+}
+
+// Waiting for it would be for ever, and a reset of its port may cure it.
+TEST_F(V4l2NodesTest, ACameraThatFailsIsNotAbsent) {
+  on_usb_.refuse = [](unsigned request) { return request == VIDIOC_QUERYCAP ? EIO : 0; };
+  const FakeV4l2 device(on_usb_);
+  for (const char* selector : {"any", "serial=F00D", "name=fake", "/dev/video0"}) {
+    V4l2Camera camera(selector);
+    const Status status = camera.configure({});
+    EXPECT_EQ(status.sys_errno(), EIO) << selector << ": " << status.text();
+    EXPECT_EQ(camera.info().usb, FakeV4l2::kUsbPath);
+  }
 }
 
 TEST_F(V4l2NodesTest, WithoutAnyUsableNodeThereIsNothingToTake) {

@@ -22,6 +22,17 @@ std::string text_of(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
 }
 
+// A program that ends with the first is not started again; with the second it is.
+TEST(UnreadableFile, IsWrongForGoodOrJustNow) {
+  const Status missing = unreadable_file("the token", "/nowhere", ENOENT);
+  EXPECT_EQ(missing.code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(std::string(missing.text()),
+            "cannot read the token /nowhere: No such file or directory: give an existing file");
+  for (const int passing : {EIO, ENOMEM, EMFILE, ENFILE}) {
+    EXPECT_EQ(unreadable_file("the token", "/card/token", passing).code(), StatusCode::kIoError);
+  }
+}
+
 TEST(WriteFile, AFullDiskOrMissingFolderIsNamedAndLeavesNothing) {
   const std::vector<std::byte> bytes(1U << 16);
   const Status full = write_file("/dev/full", bytes);

@@ -202,6 +202,14 @@ TEST(LensMap, RefusesALensThatFoldsThePicture) {
   const CameraModel folding = make_camera({-2.5F, 0, 0, 0, 0});
   EXPECT_EQ(pinhole_view(folding, 160, 96).code(), StatusCode::kInvalidInput);
   EXPECT_EQ(make_lens_map(folding, folding.resized(160, 96)).code(), StatusCode::kInvalidInput);
+  CameraModel hole = CameraModel::from_field_of_view(640, 480, 65);
+  hole.fx = hole.fy = 426.66666F;
+  hole.cx = 320.33334F;
+  hole.cy = 240.33333F;
+  hole.distortion = {-2, 0, 0, 0, 0, -2, 0, 0};  // 0/0 at one pixel, 1 everywhere else
+  const Result<CameraModel> through = pinhole_view(hole, 384, 288);
+  ASSERT_TRUE(through) << through.status().text();
+  EXPECT_EQ(make_lens_map(hole, *through).code(), StatusCode::kInvalidInput);
   const CameraModel mad = make_camera({1e30F, -1e30F, 1e20F, 0, 0});
   EXPECT_EQ(pinhole_view(mad, 160, 96).code(), StatusCode::kInvalidInput);
 }

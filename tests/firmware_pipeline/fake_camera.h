@@ -36,6 +36,8 @@ class FakeCamera final : public Camera {
   std::atomic<int> configured{0};  // calls so far
   std::atomic<int> started{0};
   std::atomic<int> stopped{0};
+  std::atomic<int> closed{0};  // by close, not by another configure
+  std::atomic<bool> open{false};
   std::atomic<int> dequeued{0};
   std::atomic<int> requeued{0};
   std::atomic<int> delivered{0};
@@ -44,9 +46,11 @@ class FakeCamera final : public Camera {
   Status configure(const CaptureRequest&) override {
     LCDM_CHECK(!running);
     const int call = configured++;
+    open = false;
     LCDM_RETURN_IF_ERROR(on_configure(call));
     format_ = format_of(call);
     pixels_.assign(64 * 1024, 100);
+    open = true;
     return Status::ok();
   }
   const FrameFormat& format() const override { return format_; }
@@ -57,6 +61,7 @@ class FakeCamera final : public Camera {
   int buffer_count() const override { return kBuffers; }
 
   Status start() override {
+    LCDM_CHECK(open);
     LCDM_RETURN_IF_ERROR(on_start(started++));
     running = true;
     sequence_ = 0;
@@ -91,6 +96,11 @@ class FakeCamera final : public Camera {
     ++stopped;
     running = false;
     for (bool& each : lent_) each = false;
+  }
+  void close() override {
+    stop();
+    ++closed;
+    open = false;
   }
 
  private:

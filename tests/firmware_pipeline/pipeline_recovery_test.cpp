@@ -288,8 +288,10 @@ class BrokenCameraTest : public PipelineTest {
   PipelineOptions options_;
 };
 
+// Of a camera that is held open the kernel would give another node to the one that comes back.
 TEST_F(BrokenCameraTest, APortResetComesAfterReopeningAndCures) {
   port_.on_reset = [this] {
+    EXPECT_FALSE(camera_.open);
     broken = false;
     return Status::ok();
   };
@@ -388,6 +390,8 @@ TEST_P(PipelineFault, AFailingCameraIsClosedAndOpenedAgain) {
   ASSERT_TRUE(reaches(PipelineState::kStreaming));
   ASSERT_TRUE(delivers(8));
   EXPECT_EQ(health().reopened, 1U);
+  EXPECT_EQ(camera_.closed, GetParam() == StatusCode::kDeviceGone ? 1 : 0)
+      << "one that has gone is let go of at once";
   EXPECT_EQ(health().sequence_gaps, 0U) << "counting anew is no gap";
   EXPECT_EQ(pipeline_->fault(), "");
 }

@@ -141,6 +141,26 @@ TEST_F(SupervisorTest, ACameraOfBrokenPicturesIsWaitedFor) {
   EXPECT_FALSE(now_.alive) << "the engine refuses those that are whole";
 }
 
+// However seldom frames come, and though one now and then is broken.
+TEST_F(SupervisorTest, ARefusingEngineIsNoWaitAtAnyRate) {
+  for (const std::int64_t period : {100 * kMs, kSecond, 1600 * kMs, 2 * kSecond}) {
+    for (const std::int64_t damage : {std::int64_t{0}, kSecond, 3 * kSecond}) {
+      stream();
+      ASSERT_TRUE(now_.alive);
+      seen_.pipeline.state = PipelineState::kNoSignal;
+      std::int64_t past = 0;
+      pass(20 * kSecond, [&] {
+        past += kLookNs;
+        if (past % period == 0) ++seen_.pipeline.captured, ++seen_.pipeline.failed;
+        if (damage > 0 && past % damage == kLookNs)
+          ++seen_.pipeline.captured, ++seen_.pipeline.corrupt;
+      });
+      EXPECT_FALSE(now_.alive) << period << " " << damage;
+      EXPECT_EQ(now_.state, DeviceState::kFault);
+    }
+  }
+}
+
 TEST_F(SupervisorTest, AHangingVitalThreadStopsThePing) {
   for (auto age :
        {&HealthSnapshot::capture_heartbeat_age_ns, &HealthSnapshot::infer_heartbeat_age_ns}) {
