@@ -138,7 +138,9 @@ Result<cv::Mat> read_rgb(const fs::path& file) {
   if (!bytes) return bytes.status();
   const bool jpeg = bytes->size() > 2 && (*bytes)[0] == 0xFF && (*bytes)[1] == 0xD8;
   const bool png = bytes->size() > 4 && (*bytes)[0] == 0x89 && (*bytes)[1] == 'P';
-  const cv::Mat bgr = jpeg || png ? cv::imdecode(*bytes, cv::IMREAD_COLOR) : cv::Mat();
+  // As the pixels lie: depth and intrinsics know of no turn that a phone noted in the file.
+  const int how = cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION;
+  const cv::Mat bgr = jpeg || png ? cv::imdecode(*bytes, how) : cv::Mat();
   if (bgr.empty()) {
     return Status::error(StatusCode::kCorrupt, "%s: not a JPEG or PNG that can be decoded",
                          file.c_str());

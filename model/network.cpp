@@ -54,8 +54,9 @@ torch::Tensor NormImpl::forward(const torch::Tensor& x) {
   if (adopts > 0) {
     const torch::Tensor scale = weight / (running_var + options.eps()).sqrt();
     const torch::Tensor shift = bias - running_mean * scale;
-    running_mean.lerp_(x.mean({0, 2, 3}), adopts);
-    running_var.lerp_(x.var({0, 2, 3}, true), adopts);
+    const torch::Tensor seen = x.to(torch::kFloat32);  // under Autocast it is not
+    running_mean.lerp_(seen.mean({0, 2, 3}), adopts);
+    running_var.lerp_(seen.var({0, 2, 3}, true), adopts);
     if (keeps_answers) {
       weight.copy_(scale * (running_var + options.eps()).sqrt());
       bias.copy_(shift + running_mean * scale);

@@ -150,6 +150,17 @@ Result<cv::Range> teacher_rows(const fs::path& folder, int height) {
   return range;
 }
 
+// Depth of another shape was not registered to its picture: stretched over it, all of it would be
+// in the wrong place. Smaller by a factor it may be, to the pixel.
+Status check_shape(const fs::path& file, cv::Size depth, cv::Size picture) {
+  const double height = static_cast<double>(picture.height) * depth.width / picture.width;
+  if (std::abs(height - depth.height) <= 1) return Status::ok();
+  return Status::error(StatusCode::kCorrupt,
+                       "%s: depth of %dx%d pixels is not registered to a picture of %dx%d: give "
+                       "depth as the camera of the picture sees it",
+                       file.c_str(), depth.width, depth.height, picture.width, picture.height);
+}
+
 // The depth of the full picture of `full` pixels, sampled at `size`.
 Result<cv::Mat> load_depth(const fs::path& folder, const std::string& frame, const PackUse& use,
                            double unit, cv::Size full, cv::Size size) {
@@ -160,6 +171,7 @@ Result<cv::Mat> load_depth(const fs::path& folder, const std::string& frame, con
   if (!map) return map.status();
   cv::Mat depth;
   if (use.teacher == Teacher::kSensor) {
+    LCDM_RETURN_IF_ERROR(check_shape(maps / (frame + ".png"), map->size(), full));
     cv::resize(*map, depth, size, 0, 0, cv::INTER_NEAREST_EXACT);
     return depth;
   }
@@ -307,7 +319,10 @@ Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, 
   pack.frames =
       std::make_shared<FolderFrames>(folder, std::move(pictures), use, *intrinsics, max_width);
   LCDM_RETURN_IF_ERROR(check_first(*pack.frames));
-  if (pack.frames->size() <= kKeptFrames) pack.frames = keep_in_memory(*pack.frames, use.video);
+  // At full size they are measured or taught on, each once: 1,500 could be 20 GB.
+  if (max_width < kFullWidth && pack.frames->size() <= kKeptFrames) {
+    pack.frames = keep_in_memory(*pack.frames, use.video);
+  }
   std::vector<std::string> names;
   for (std::size_t i = 0; i < pack.frames->size(); ++i) names.push_back(pack.frames->name(i));
   Split split = split_frames(names);

@@ -83,6 +83,9 @@ std::string recipe_text(const Recipe& recipe) {
   line("accumulate", recipe.accumulate);
   line("workers", recipe.workers);
   line("bf16", recipe.bf16);
+  if (recipe.optimizer != OptimizerKind::kAdamW) {  // folders of before know no other
+    line("optimizer", static_cast<int>(recipe.optimizer));
+  }
   line("learning-rate", recipe.learning_rate);
   line("final-rate", recipe.final_rate);
   line("warm-up", recipe.warm_up);

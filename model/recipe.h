@@ -9,6 +9,7 @@
 #include "firmware/base/status.h"
 #include "firmware/nn/network_config.h"
 #include "model/losses.h"
+#include "model/optimizer.h"
 
 namespace lcdm::model {
 
@@ -34,11 +35,12 @@ struct Recipe {
   std::uint64_t seed = 1;
   std::int64_t steps = 1000;
   std::vector<Stage> stages = {{0.5, 8, 0.8}, {1, 4, 1}};  // the last runs to the end
-  double head_from = 0.4;       // share of the steps before which only the 0-step answer is trained
-  double freeze_from = 0.5;     // and after which batch-norm statistics stay as they are
-  int accumulate = 1;           // batches of an optimiser step
-  int workers = 2;              // threads that share a batch; batch norm sees a worker's part only
-  bool bf16 = false;            // encoder and decoder in bfloat16
+  double head_from = 0.4;    // share of the steps before which only the 0-step answer is trained
+  double freeze_from = 0.5;  // and after which batch-norm statistics stay as they are
+  int accumulate = 1;        // batches of an optimiser step
+  int workers = 2;           // threads that share a batch; batch norm sees a worker's part only
+  bool bf16 = false;         // encoder and decoder in bfloat16
+  OptimizerKind optimizer = OptimizerKind::kAdamW;
   double learning_rate = 1e-3;  // at its highest, where no stage names its own
   double final_rate = 5e-6;     // at the end of each cosine
   std::int64_t warm_up = 100;

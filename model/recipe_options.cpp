@@ -52,6 +52,10 @@ void add_schedule_options(CLI::App& command, RecipeOptions& options) {
 }
 
 void add_optimiser_options(CLI::App& command, Recipe& recipe) {
+  const std::map<std::string, OptimizerKind> optimizers = {{"adamw", OptimizerKind::kAdamW},
+                                                           {"muon", OptimizerKind::kMuon}};
+  add_choice(command, "--optimizer", recipe.optimizer, optimizers,
+             "adamw, or muon for the depth network's matrices (adamw)");
   command.add_option("--learning-rate", recipe.learning_rate, "At its highest")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
@@ -61,7 +65,7 @@ void add_optimiser_options(CLI::App& command, Recipe& recipe) {
   command.add_option("--warm-up", recipe.warm_up, "Steps to the highest rate")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  command.add_option("--weight-decay", recipe.weight_decay, "Of AdamW")
+  command.add_option("--weight-decay", recipe.weight_decay, "Of matrices")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
   command.add_option("--clip", recipe.clip, "Largest norm of the gradient")

@@ -6,6 +6,7 @@ namespace {
 TrainedNetworks replica_of(const TrainedNetworks& original) {
   TrainedNetworks replica(original->depth->config, !original->pose.is_empty(),
                           original->cameras.is_empty() ? 0 : original->cameras->log_focal.size(0));
+  replica->depth->mixed_precision = original->depth->mixed_precision;
   replica->to(original->depth->direct->weight.device());  // the statistics too
   const auto weights = original->named_parameters();
   for (auto& item : replica->named_parameters()) {

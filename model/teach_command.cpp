@@ -57,10 +57,12 @@ Result<Estimator> teacher_of(const Options& options) {
   });
 }
 
-// What of the maps is not to be believed, kept beside them: whoever trains on them aligns that.
+// What of the maps is not to be believed, kept beside them: whoever trains on them aligns that. The
+// scale of our own networks is relative.
 Status write_alignment(const fs::path& folder, const Options& options) {
   using Gives = TorchscriptOptions::Gives;
-  const Gives gives = options.torchscript.file.empty() ? Gives::kDepth : options.torchscript.gives;
+  const Gives gives =
+      options.torchscript.file.empty() ? Gives::kInverse : options.torchscript.gives;
   const Alignment alignment = gives == Gives::kDepth     ? Alignment::kNone
                               : gives == Gives::kInverse ? Alignment::kScale
                                                          : Alignment::kAffine;
@@ -88,8 +90,8 @@ Status run(const Options& options) {
   std::size_t without = 0;
   for (std::size_t i = 0; i < pack->frames->size(); ++i) {
     const Result<PackFrame> frame = pack->frames->read(i);
-    if (!frame) return frame.status();
-    const cv::Mat metres = (*teacher)(*frame);
+    if (!frame) std::fprintf(stderr, "left out: %s\n", frame.status().text());
+    const cv::Mat metres = frame ? (*teacher)(*frame) : cv::Mat();
     if (metres.empty()) {
       ++without;
       continue;
@@ -98,8 +100,8 @@ Status run(const Options& options) {
   }
   std::printf("%zu maps in %s\n", pack->frames->size() - without, output.c_str());
   if (without == 0) return Status::ok();
-  return Status::error(StatusCode::kCorrupt, "the teacher gave no depth for %zu of %zu frames",
-                       without, pack->frames->size());
+  return Status::error(StatusCode::kCorrupt, "no depth for %zu of %zu frames", without,
+                       pack->frames->size());
 }
 
 }  // namespace

@@ -82,6 +82,7 @@ Status start_from_trained(const Options& options, Trainer& trainer) {
 }
 
 fs::path checkpoint_in(const fs::path& folder) { return folder / "checkpoint.safetensors"; }
+fs::path best_in(const fs::path& folder) { return folder / "best.safetensors"; }
 
 // The folder of a run: checkpoint.safetensors is the last state, best.safetensors the one with the
 // best validation score.
@@ -129,13 +130,13 @@ class Run {
 
   Status check_frames() const {
     const auto bad = static_cast<double>(trainer_.unreadable());
-    if (bad < 10 || bad < kMostUnreadable * static_cast<double>(trainer_.images())) {
+    if (bad < 10 || bad < kMostUnreadable * static_cast<double>(trainer_.drawn())) {
       return Status::ok();
     }
     return Status::error(StatusCode::kCorrupt,
                          "%lld of %lld drawn frames cannot be read: mend the data; the last: %s",
                          static_cast<long long>(trainer_.unreadable()),
-                         static_cast<long long>(trainer_.images()), trainer_.why_unreadable());
+                         static_cast<long long>(trainer_.drawn()), trainer_.why_unreadable());
   }
 
   Status keep_the_best(TrainingLog& log) {
@@ -144,7 +145,7 @@ class Run {
         validate(trainer_.averaged(), steps, trainer_.share(), data_, kValidationFrames);
     const bool better = trainer_.update_best(validation.score);
     log.add(trainer_, validation, better);
-    return better ? trainer_.save((folder_ / "best.safetensors").string()) : Status::ok();
+    return better ? trainer_.save(best_in(folder_).string()) : Status::ok();
   }
 
   const Options& options_;
@@ -164,9 +165,9 @@ std::string licence_of(const ModelConfig& config, const Data& data) {
 
 // A new training would replace the folder's checkpoint, best state and curve.
 Status require_unused(const Options& options) {
-  if (options.resume || options.dry_run || !fs::exists(checkpoint_in(options.output))) {
-    return Status::ok();
-  }
+  const bool used =
+      fs::exists(checkpoint_in(options.output)) || fs::exists(best_in(options.output));
+  if (options.resume || options.dry_run || !used) return Status::ok();
   return Status::error(StatusCode::kUsage,
                        "--output %s holds a training: give --resume or another --output",
                        options.output.c_str());

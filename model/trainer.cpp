@@ -92,7 +92,8 @@ Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs, const Com
   average_->to(compute.device);
   spread_weights();
   average_->eval();
-  optimizer_ = std::make_unique<AdamW>(*networks_, recipe.weight_decay);
+  optimizer_ = std::make_unique<Optimizer>(recipe.optimizer, *networks_, recipe.weight_decay,
+                                           recipe.workers);
 }
 
 void Trainer::spread_weights() {
@@ -119,7 +120,7 @@ bool Trainer::freezes_a_young_head() const {
 
 Status Trainer::measure_new_head() {
   Head& head = networks_->depth->head;
-  const bool frozen_new = has_head() && past(recipe_.freeze_from) && is_new(head);
+  const bool frozen_new = phase_at(step_).head && past(recipe_.freeze_from) && is_new(head);
   if (!frozen_new && !freezes_a_young_head()) return Status::ok();
   LCDM_RETURN_IF_ERROR(measure(*head, Answers::kNormalise));
   const torch::NoGradGuard no_grad;
@@ -177,6 +178,10 @@ bool Trainer::past(double share) const {
   return static_cast<double>(step_) >= share * static_cast<double>(recipe_.steps);
 }
 
+Phase Trainer::phase_at(std::int64_t step) const {
+  return {stage_at(recipe_, step), step >= first_step(recipe_, recipe_.head_from)};
+}
+
 void Trainer::prepare_loader() {
   const std::size_t stage = stage_at(recipe_, step_);
   if (loader_ != nullptr && stage == loader_stage_) return;
@@ -221,9 +226,9 @@ Status Trainer::set_licence(const std::string& licence) {
 }
 
 bool Trainer::update_best(double score) {
-  if (phase() == best_phase_ && !(static_cast<float>(score) < best_)) return false;
+  if (newest_phase() == best_phase_ && !(static_cast<float>(score) < best_)) return false;
   best_ = static_cast<float>(score);
-  best_phase_ = phase();
+  best_phase_ = newest_phase();
   return true;
 }
 
@@ -256,7 +261,7 @@ Losses Trainer::run_worker(int worker, int k, const Batch& part, double share) {
   const auto batch = static_cast<std::uint64_t>(step_ * recipe_.accumulate + k);
   at::Generator generator = at::detail::createCPUGenerator(
       SampleRandom(recipe_.seed, batch, kLossStream + number).below(1U << 31));
-  const Part what = has_head() ? Part::kWhole : Part::kDirect;
+  const Part what = phase_at(step_).head ? Part::kWhole : Part::kDirect;
   Losses losses = training_losses(networks, part, recipe_.losses, what, generator).times(share);
   losses.total.backward();
   return losses;
@@ -324,7 +329,7 @@ Result<Losses> Trainer::advance() {
   all_reduce(networks_, *compute_.processes, losses);
   replicas_->broadcast_statistics();
   if (!std::isfinite(losses.total.item<double>())) return not_finite(losses, step_);
-  divergence_.add(losses.total.item<double>(), phase());
+  divergence_.add(losses.total.item<double>(), phase_at(step_));
   if (divergence_.found()) return diverged(divergence_, step_);
   if (const double norm = optimizer_->clip(recipe_.clip); !std::isfinite(norm)) {
     return Status::error(StatusCode::kCorrupt,
@@ -334,6 +339,7 @@ Result<Losses> Trainer::advance() {
   optimizer_->step([&](const std::string& name) {
     return name.rfind("depth.head.", 0) == 0 ? head_rate_at(recipe_, step_) : learning_rate();
   });
+  drawn_ += images;
   images_ += images * compute_.processes->size();
   ++step_;
   update_average();
@@ -370,7 +376,9 @@ Status Trainer::resume(const std::string& path) {
   if (config->encoder != recipe_.encoder || config->preset != recipe_.preset ||
       !restore(*networks_, "network.", tensors) || !restore(*average_, "average.", tensors) ||
       !optimizer_->load(tensors)) {
-    return Status::error(StatusCode::kInvalidInput, "%s holds another network than the recipe's",
+    return Status::error(StatusCode::kInvalidInput,
+                         "%s holds another network than the recipe's, or the state of another "
+                         "--optimizer",
                          path.c_str());
   }
   networks_->depth->config = *config;

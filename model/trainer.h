@@ -8,10 +8,10 @@
 #include <vector>
 
 #include "firmware/base/status.h"
-#include "model/adamw.h"
 #include "model/batch.h"
 #include "model/divergence.h"
 #include "model/losses.h"
+#include "model/optimizer.h"
 #include "model/phase.h"
 #include "model/processes.h"
 #include "model/recipe.h"
@@ -50,13 +50,14 @@ class Trainer {
   bool done() const { return step_ >= recipe_.steps; }
   // Pictures seen, by all processes.
   std::int64_t images() const { return images_; }
-  // Frames that were drawn here and could not be read.
+  // By this process since it began, and how many frames could not be read for them.
+  std::int64_t drawn() const { return drawn_; }
   std::int64_t unreadable() const { return unreadable_; }
   const char* why_unreadable() const { return why_unreadable_.text(); }  // the last of them
   // Of all but the head.
   double learning_rate() const { return learning_rate_at(recipe_, step_); }
-  // Whether the head is trained by now.
-  bool has_head() const { return past(recipe_.head_from); }
+  // Whether the newest step trained the head (before the first one: whether that will).
+  bool has_head() const { return newest_phase().head; }
   // One optimiser step. kCorrupt where the loss or a gradient is not finite, or losses stay far
   // above what they were (divergence.h): what and when; the weights are then those before the step.
   Result<Losses> advance();
@@ -73,8 +74,8 @@ class Trainer {
   Result<ImportReport> start_encoder_from(const TensorFile& file, ChannelOrder order);
   Result<ImportReport> start_pose_from(const TensorFile& file);
 
-  // Size of the present stage's pictures as a share of the deployed size.
-  double share() const { return recipe_.stages[stage_at(recipe_, step_)].share; }
+  // Size of the newest step's pictures as a share of the deployed size.
+  double share() const { return recipe_.stages[newest_phase().stage].share; }
   // Remembers the best validation score (lower is better), over checkpoints too. Whether it is the
   // best so far of the networks with as much of a head and of this size.
   bool update_best(double score);
@@ -96,8 +97,10 @@ class Trainer {
   Trainer(const Recipe& recipe, const std::vector<Pack>& packs, const Compute& compute,
           const ModelConfig& config);
 
-  bool past(double share) const;
-  Phase phase() const { return {stage_at(recipe_, step_), has_head()}; }
+  bool past(double share) const;  // of the steps
+  Phase phase_at(std::int64_t step) const;
+  // What the averaged weights were trained as: a score is of these, not of what comes next.
+  Phase newest_phase() const { return phase_at(step_ > 0 ? step_ - 1 : 0); }
   // The batch-norm statistics of `part` of the depth network, on samples of the present stage.
   Status measure(torch::nn::Module& part, Answers answers);
   // The head's, where it joins after statistics are frozen, so that nothing has gone through it, or
@@ -120,11 +123,12 @@ class Trainer {
   TrainedNetworks networks_ = nullptr;
   std::unique_ptr<Replicas> replicas_;  // of networks_, which is worker 0's too
   DepthNetwork average_ = nullptr;
-  std::unique_ptr<AdamW> optimizer_;
+  std::unique_ptr<Optimizer> optimizer_;
   std::unique_ptr<BatchLoader> loader_;
   std::size_t loader_stage_ = 0;  // what loader_ makes
   std::int64_t step_ = 0;
   std::int64_t images_ = 0;
+  std::int64_t drawn_ = 0;
   std::int64_t unreadable_ = 0;
   Status why_unreadable_;
   Divergence divergence_;

@@ -103,6 +103,21 @@ TEST_F(SmallPack, BadFilesAreNamed) {
 }
 
 // Intrinsics of 32x24 pictures beside pictures of 64x48.
+// Stretched over the picture every depth would be in the wrong place.
+TEST_F(SmallPack, RefusesDepthOfAnotherShape) {
+  const auto load_with = [&](int width, int height) {
+    cv::imwrite((root_ / "pack" / "depth" / "000000.png").string(),
+                cv::Mat(height, width, CV_16U, cv::Scalar(2000)));
+    return load_pack(root_, use_, 640);
+  };
+  EXPECT_TRUE(load_with(32, 24)) << "half the pixels of the same view";
+  const Result<Pack> wide = load_with(64, 36);
+  ASSERT_FALSE(wide);
+  EXPECT_NE(std::string(wide.status().text()).find("64x36 pixels is not registered"),
+            std::string::npos)
+      << wide.status().text();
+}
+
 TEST_F(SmallPack, ScalesIntrinsicsOfAnotherSizeOfTheSameShape) {
   write_intrinsics(R"({"width": 32, "height": 24, "fx": 50, "fy": 52, "cx": 15.5, "cy": 11.5})");
   const Result<Pack> pack = load_pack(root_, use_, 640);

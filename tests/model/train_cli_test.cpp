@@ -66,6 +66,10 @@ TEST_F(TrainCli, RefusesAFolderThatHoldsATraining) {
   std::getline(std::ifstream(folder_.file("checkpoint.safetensors")), kept);
   EXPECT_EQ(kept, "hours of work");
 }
+TEST_F(TrainCli, RefusesAFolderThatHoldsABestStateAlone) {
+  folder_.write("best.safetensors", "of a run that ended before its first checkpoint");
+  expect_refusal({"train", "--output", folder_.path()}, 2, "holds a training: give --resume");
+}
 
 // As packs of fewer than 34 pictures have no validation part.
 TEST_F(TrainCli, RefusesToMeasureOnNothing) {

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "model/checkpoint.h"
+#include "model/replicas.h"
 #include "model/safetensors.h"
 #include "model/scene_pack.h"
 #include "tests/support/temporary_folder.h"
@@ -86,13 +87,14 @@ TEST(Trainer, RefusesALicenceThatNoCheckpointCouldHold) {
 }
 
 // A run stopped after three of six steps, over the step where the head joins.
-void expect_exact_resume(double freeze_from) {
+void expect_exact_resume(double freeze_from, OptimizerKind optimizer) {
   at::set_num_threads(1);
   const test::TemporaryFolder folder;
   const std::string path = folder.file("checkpoint.safetensors");
   Recipe recipe = small_recipe();
   recipe.head_from = 0.6;
   recipe.freeze_from = freeze_from;
+  recipe.optimizer = optimizer;
   const auto straight = trainer_of(recipe);
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(straight->advance());
   EXPECT_TRUE(straight->update_best(0.5));
@@ -112,8 +114,13 @@ void expect_exact_resume(double freeze_from) {
   for (const auto& [name, tensor] : wanted) EXPECT_TRUE(torch::equal(tensor, got.at(name))) << name;
 }
 
-TEST(Trainer, ResumesBitExactlyWhileStatisticsMove) { expect_exact_resume(1); }
-TEST(Trainer, ResumesBitExactlyWhenTheyAreFrozen) { expect_exact_resume(0.2); }
+TEST(Trainer, ResumesBitExactlyWhileStatisticsMove) {
+  expect_exact_resume(1, OptimizerKind::kAdamW);
+}
+TEST(Trainer, ResumesBitExactlyWhenTheyAreFrozen) {
+  expect_exact_resume(0.2, OptimizerKind::kAdamW);
+}
+TEST(Trainer, ResumesBitExactlyWithMuon) { expect_exact_resume(1, OptimizerKind::kMuon); }
 
 // Frozen at mean 0 and deviation 1 they would normalise nothing for the rest of the run.
 TEST(Trainer, MeasuresAHeadThatJoinsAfterStatisticsAreFrozen) {
@@ -187,6 +194,30 @@ TEST(Trainer, AveragesAHeadFromWhereItJoins) {
             0.2 * (before - trained).norm().item<float>());
 }
 
+// At the step where the head joins, and at the end, what comes next is not what was trained.
+TEST(Trainer, ScoresWhatItTrained) {
+  Recipe recipe = small_recipe();
+  recipe.steps = 4;
+  recipe.stages = {{0.2, 2, 0.5}, {0.3, 2, 1}};
+  recipe.head_from = 0.75;
+  const auto trainer = trainer_of(recipe);
+  const auto advance = [&] { ASSERT_TRUE(trainer->advance()); };
+  advance();
+  EXPECT_TRUE(trainer->update_best(0.5));
+  advance();
+  EXPECT_EQ(trainer->share(), 0.2);
+  EXPECT_FALSE(trainer->update_best(0.6)) << "the first stage's too";
+  advance();
+  EXPECT_FALSE(trainer->has_head());
+  EXPECT_TRUE(trainer->update_best(0.9)) << "of the second stage";
+  advance();
+  EXPECT_TRUE(trainer->has_head());
+  recipe.head_from = 1;
+  const auto without = trainer_of(recipe);
+  while (!without->done()) ASSERT_TRUE(without->advance());
+  EXPECT_FALSE(without->has_head());
+}
+
 // Everything of the paper at once on a moving camera: each term is there and the step is finite.
 TEST(Trainer, TakesEveryLossOfThePaper) {
   Pack drive = scene_packs()[0];  // views of rendered worlds, all different, stand in for a drive
@@ -232,7 +263,6 @@ TEST(Trainer, GoesThroughItsStagesAndAccumulates) {
 // bfloat16 in encoder and decoder: the loss stays close to float's, weights stay float.
 TEST(Trainer, TrainsInMixedPrecision) {
   Recipe recipe = small_recipe();
-  recipe.workers = 1;
   const Result<Losses> exact = trainer_of(recipe)->advance();
   recipe.bf16 = true;
   const auto mixed = trainer_of(recipe);
@@ -244,11 +274,29 @@ TEST(Trainer, TrainsInMixedPrecision) {
   EXPECT_EQ(mixed->averaged()->direct->weight.scalar_type(), torch::kFloat32);
 }
 
-TEST(Trainer, RefusesACheckpointOfAnotherNetwork) {
+// Every worker computes as the recipe says, and statistics are measured in float all the same.
+TEST(Trainer, TrainsAllWorkersInMixedPrecision) {
+  const auto exact = trainer_of(small_recipe());
+  TrainedNetworks networks(exact->config(), false, 0);
+  networks->depth->mixed_precision = true;
+  Replicas replicas(networks, 2);
+  EXPECT_TRUE(replicas.of(1)->depth->mixed_precision);
+  Recipe recipe = small_recipe();
+  recipe.bf16 = true;
+  const auto mixed = trainer_of(recipe);
+  const Status started = mixed->start_from(exact->averaged(), NormStatistics::kMissing);
+  ASSERT_TRUE(started) << started.text();
+  EXPECT_TRUE(mixed->advance());
+}
+
+TEST(Trainer, RefusesACheckpointOfAnotherNetworkOrOptimiser) {
   const test::TemporaryFolder folder;
   const std::string path = folder.file("checkpoint.safetensors");
   Recipe recipe = small_recipe();
   ASSERT_TRUE(trainer_of(recipe)->save(path));
+  recipe.optimizer = OptimizerKind::kMuon;
+  EXPECT_EQ(trainer_of(recipe)->resume(path).code(), StatusCode::kInvalidInput);
+  recipe.optimizer = OptimizerKind::kAdamW;
   recipe.encoder = EncoderKind::kXs;
   EXPECT_EQ(trainer_of(recipe)->resume(path).code(), StatusCode::kInvalidInput);
 }
