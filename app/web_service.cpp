@@ -7,6 +7,7 @@
 #include <string>
 
 #include "app/control.h"
+#include "app/json_text.h"
 #include "app/no_signal.h"
 #include "app/status_json.h"
 #include "app/web_files.h"
@@ -79,23 +80,18 @@ std::int64_t frame_age_ns(const Parts& parts) {
   return parts.pipeline.health().snapshot(os::monotonic_ns()).frame_age_ns;
 }
 
-// File names and faults may hold bytes that are no UTF-8: they are replaced.
-std::string text_of(const nlohmann::json& json) {
-  return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
-}
-
 void begin_recording(const Parts& parts, HttpExchange& exchange) {
   if (const Status status = start_recording(parts.pipeline, parts.recorder); !status) {
     exchange.send_text(status.code() == StatusCode::kUnavailable ? 503 : 500, kText,
                        std::string(status.text()) + "\n");
     return;
   }
-  exchange.send_text(200, kJson, text_of(parts.status(exchange)["recording"]));
+  exchange.send_text(200, kJson, json_text(parts.status(exchange)["recording"]));
 }
 
 void end_recording(const Parts& parts, HttpExchange& exchange) {
   parts.recorder.stop();
-  exchange.send_text(200, kJson, text_of(parts.status(exchange)["recording"]));
+  exchange.send_text(200, kJson, json_text(parts.status(exchange)["recording"]));
 }
 
 void send_depth_png(const Parts& parts, HttpExchange& exchange) {
@@ -186,7 +182,7 @@ void stream_live(const Parts& parts, HttpExchange& exchange) {
                            {"width", product.camera.width},
                            {"height", product.camera.height}};
     }
-    const std::string json = text_of(status);
+    const std::string json = json_text(status);
     const std::size_t jpeg = came ? product.picture_bytes : 0;
     const std::size_t depth = came ? product.bytes.size() - jpeg : 0;
     open = exchange.write(live_head(json.size(), jpeg, depth)) && exchange.write_text(json) &&
@@ -221,7 +217,7 @@ std::vector<HttpRoute> web_routes(const Pipeline& pipeline, LiveView& view, Reco
       route("/depth.png", HttpStay::kWaits, send_depth_png),
       route("/status.json", HttpStay::kShort,
             [](const Parts& p, HttpExchange& exchange) {
-              exchange.send_text(200, kJson, text_of(p.status(exchange)));
+              exchange.send_text(200, kJson, json_text(p.status(exchange)));
             }),
       route("/healthz", HttpStay::kShort, send_health),
       action("/record/start", begin_recording),

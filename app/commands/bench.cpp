@@ -12,6 +12,7 @@
 #include "app/commands/bench_profile.h"
 #include "app/commands/commands.h"
 #include "app/common_options.h"
+#include "app/json_text.h"
 #include "app/report.h"
 #include "firmware/base/alloc_watch.h"
 #include "firmware/base/exit_code.h"
@@ -141,7 +142,7 @@ void print_json(const BenchResult& result) {
       {"memory_locked", stats.memory_locked},
       {"huge_pages", os::gives_huge_pages()},
   };
-  std::printf("%s\n", json.dump(2).c_str());
+  std::printf("%s", json_text(json).c_str());
 }
 
 void print_text(const BenchResult& result) {

@@ -8,6 +8,7 @@
 
 #include "app/commands/commands.h"
 #include "app/common_options.h"
+#include "app/json_text.h"
 #include "app/report.h"
 #include "firmware/base/exit_code.h"
 
@@ -21,7 +22,7 @@ void print_json(const std::vector<Finding>& findings) {
                     {"subject", finding.subject},
                     {"text", finding.text}});
   }
-  std::printf("%s\n", json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace).c_str());
+  std::printf("%s", json_text(json).c_str());
 }
 
 int doctor(const CommonOptions& options, bool as_json) {

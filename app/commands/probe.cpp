@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "app/commands/commands.h"
+#include "app/json_text.h"
 #ifdef LCDM_LIBCAMERA
 #include "drivers/libcamera/camera.h"
 #endif
@@ -137,8 +138,7 @@ int probe(bool as_json) {
   if (as_json) {
     nlohmann::json json = {{"v4l2", nlohmann::json::array()}, {"libcamera", ids}};
     for (const Probed& probed : nodes) json["v4l2"].push_back(node_json(probed));
-    // Names of cameras may hold bytes that are no UTF-8: they are replaced.
-    std::printf("%s\n", json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace).c_str());
+    std::printf("%s", json_text(json).c_str());
     return kExitOk;
   }
   std::vector<V4l2Node> all;

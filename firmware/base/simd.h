@@ -7,10 +7,12 @@
 // quarter of an hour to compile. The loops and their bounds are the same code.
 #define HWY_DISABLED_TARGETS ~(HWY_SSE4 | HWY_NEON | HWY_EMU128 | HWY_SCALAR)
 #else
-// Scalable vectors cannot be held in arrays or structures; SSSE3 and the Ice Lake subset would only
-// add size. What remains: scalar, SSE4, AVX2, AVX-512, NEON.
-#define HWY_DISABLED_TARGETS \
-  (HWY_SSSE3 | HWY_AVX3_DL | HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128)
+// Scalable vectors cannot be held in arrays or structures; SSSE3 and what newer versions of Highway
+// split off AVX-512 and NEON would only add size: we ask the processor for its narrow products
+// ourselves (kernels/operand-inl.h). What remains: scalar, SSE4, AVX2, AVX-512, NEON.
+#define HWY_DISABLED_TARGETS                                                              \
+  (HWY_SSSE3 | HWY_AVX3_DL | HWY_AVX3_ZEN4 | HWY_AVX3_SPR | HWY_AVX10_2 | HWY_NEON_BF16 | \
+   HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128)
 #endif
 
 #include "hwy/detect_targets.h"
@@ -18,6 +20,18 @@
 #ifndef HWY_SVE_256  // unknown to Highway 0.16
 #define HWY_SVE_256 0
 #define HWY_SVE2_128 0
+#endif
+#ifndef HWY_AVX3_ZEN4  // the rest: to 1.0.3
+#define HWY_AVX3_ZEN4 0
+#endif
+#ifndef HWY_AVX3_SPR
+#define HWY_AVX3_SPR 0
+#endif
+#ifndef HWY_AVX10_2
+#define HWY_AVX10_2 0
+#endif
+#ifndef HWY_NEON_BF16
+#define HWY_NEON_BF16 0
 #endif
 
 // Keeps small fixed loops over register tiles unrolled at any optimisation level.

@@ -114,6 +114,15 @@ class JsonParser {
     return eat(']') || fail("expected ',' or ']'");
   }
 
+  // What from_chars takes and JSON does not: 01 and 1.
+  static bool is_number(std::string_view text) {
+    const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
+    if (text.front() == '-') text.remove_prefix(1);
+    if (text.size() > 1 && text[0] == '0' && is_digit(text[1])) return false;
+    const std::size_t dot = text.find('.');
+    return dot == std::string_view::npos || (dot + 1 < text.size() && is_digit(text[dot + 1]));
+  }
+
   bool number(JsonValue& out) {
     const char* begin = text_.data() + at_;
     const char* end = text_.data() + text_.size();
@@ -123,6 +132,7 @@ class JsonParser {
     if (!digit_first && !signed_digit) return fail("expected a value");
     const auto [last, error] = std::from_chars(begin, end, out.number_);
     if (error != std::errc{}) return fail("number out of range");
+    if (!is_number({begin, last})) return fail("expected a number");
     out.kind_ = JsonValue::Kind::kNumber;
     std::uint64_t whole = 0;
     const auto [whole_last, whole_error] = std::from_chars(begin, end, whole);

@@ -103,12 +103,6 @@ float half_to_float(std::uint16_t half) {
   return sign != 0 ? -magnitude : magnitude;
 }
 
-namespace {
-
-// Of a file that is not there, or not for us, no later try makes a model; of a disk that fails, it
-// may.
-}  // namespace
-
 Result<ModelFile> ModelFile::load(const std::string& path) {
   const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(std::fopen(path.c_str(), "rb"),
                                                              &std::fclose);

@@ -30,7 +30,8 @@ class ModelFile {
     std::size_t count = 0;   // values
   };
 
-  // Reads at most kMaxFileBytes. kInvalidInput, naming `path`: not there, or none of ours.
+  // Reads at most kMaxFileBytes. kInvalidInput, naming `path`: not there, or none of
+  // ours; kIoError: a later try may succeed (unreadable_file).
   static Result<ModelFile> load(const std::string& path);
 
   // Checks everything that can be checked without knowing the network: header and metadata within

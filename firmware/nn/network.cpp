@@ -9,13 +9,6 @@ namespace {
 constexpr int kStemChannels = 16;
 constexpr int kEarlyBlocks = 3;  // of stage 1
 
-// Nearest multiple of 8, but never more than a tenth below `value` (ml-cvnets).
-int make_divisible(int value) {
-  int rounded = (value + 4) / 8 * 8;
-  if (rounded < 8) rounded = 8;
-  return rounded * 10 < value * 9 ? rounded + 8 : rounded;
-}
-
 int round_up_to_even(int value) { return value + value % 2; }
 
 class Builder {
@@ -134,7 +127,7 @@ class Builder {
   int mv2(const std::string& name, int x, int channels, int stride, int ratio) {
     const int in_channels = shape(x).channels;
     const int residual = stride == 1 && in_channels == channels ? x : -1;
-    int y = conv(name + ".conv1_1x1", {{x}}, make_divisible(in_channels * ratio),
+    int y = conv(name + ".conv1_1x1", {{x}}, in_channels * ratio,
                  {.kernel = 1, .activation = Activation::kSilu});
     layers_[static_cast<std::size_t>(y)].stored = false;
     y = depthwise(name + ".conv2_kxk", y, stride);

@@ -37,7 +37,9 @@ EncoderTable encoder_table(EncoderKind encoder);
 // The JSON under `lcdm` in the model file's metadata (NETWORK.md, "The model file").
 struct ModelConfig {
   static constexpr int kDiffusionSteps = 150;  // T of the noise schedule
-  static constexpr int kMaxChannels = 512;     // of decoder and condition
+  // Of decoder and condition: as wide as ours. Wider ones could ask for more memory than a board
+  // has.
+  static constexpr int kMaxChannels = 128;
 
   EncoderKind encoder = EncoderKind::kXs;
   PresetKind preset = PresetKind::kLcdm;

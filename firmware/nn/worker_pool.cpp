@@ -36,10 +36,17 @@ void wait_for_change(const std::atomic<T>& value, T old) {
 WorkerPool::WorkerPool(int workers, bool pinned) : workers_(workers), pinned_(pinned) {
   LCDM_CHECK(workers >= 1);
   threads_.reserve(static_cast<std::size_t>(workers) - 1);
-  for (int i = 1; i < workers; ++i) threads_.emplace_back([this, i] { work(i); });
+  try {
+    for (int i = 1; i < workers; ++i) threads_.emplace_back([this, i] { work(i); });
+  } catch (...) {  // no more threads for this process: those that began must end before we say so
+    stop();
+    throw;
+  }
 }
 
-WorkerPool::~WorkerPool() {
+WorkerPool::~WorkerPool() { stop(); }
+
+void WorkerPool::stop() {
   stop_.store(true, std::memory_order_relaxed);
   round_.fetch_add(1, std::memory_order_release);
   round_.notify_all();

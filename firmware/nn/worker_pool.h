@@ -15,7 +15,8 @@ namespace lcdm {
 class WorkerPool {
  public:
   // `pinned`: worker i stays on the i-th processor that this process may use; only worker 0, which
-  // is somebody else's thread, is left as it is.
+  // is somebody else's thread, is left as it is. std::system_error: no more threads for this
+  // process.
   explicit WorkerPool(int workers, bool pinned = false);
   ~WorkerPool();
   WorkerPool(const WorkerPool&) = delete;
@@ -35,6 +36,7 @@ class WorkerPool {
 
   void run_erased(Entry entry, void* context) noexcept;
   void work(int worker) noexcept;
+  void stop();
 
   int workers_;
   bool pinned_;

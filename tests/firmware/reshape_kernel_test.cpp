@@ -42,34 +42,32 @@ TEST(ReshapeKernel, ResizeInterpolatesBetweenPixelCentres) {
 }
 
 TEST(ReshapeKernel, AnyImageUnfoldsToItsPatchesAndBack) {
-  for_each_isa([] {
-    Random random(1);
-    for (int round = 0; round < 20; ++round) {
-      const Image image =
-          make_image(random, 2 * random.whole(1, 6), 2 * random.whole(1, 6), random.whole(1, 40));
-      const auto values = to_floats(image.values);
-      const Patches patches = {image.height, image.width, image.channels};
-      std::vector<float> tokens(values.size());
-      const int rows = image.height / 2;
-      const int cut = random.whole(0, rows);
-      unfold_rows(patches, values.data(), tokens.data(), cut, rows);
-      unfold_rows(patches, values.data(), tokens.data(), 0, cut);
-      std::size_t i = 0;  // [place in the patch, patch, channel]
-      for (int place = 0; place < 4; ++place) {
-        for (int y = place / 2; y < image.height; y += 2) {
-          for (int x = place % 2; x < image.width; x += 2) {
-            for (int c = 0; c < image.channels; ++c) {
-              ASSERT_EQ(tokens[i++], static_cast<float>(image.at(y, x, c)));
-            }
+  Random random(1);
+  for (int round = 0; round < 20; ++round) {
+    const Image image =
+        make_image(random, 2 * random.whole(1, 6), 2 * random.whole(1, 6), random.whole(1, 40));
+    const auto values = to_floats(image.values);
+    const Patches patches = {image.height, image.width, image.channels};
+    std::vector<float> tokens(values.size());
+    const int rows = image.height / 2;
+    const int cut = random.whole(0, rows);
+    unfold_rows(patches, values.data(), tokens.data(), cut, rows);
+    unfold_rows(patches, values.data(), tokens.data(), 0, cut);
+    std::size_t i = 0;  // [place in the patch, patch, channel]
+    for (int place = 0; place < 4; ++place) {
+      for (int y = place / 2; y < image.height; y += 2) {
+        for (int x = place % 2; x < image.width; x += 2) {
+          for (int c = 0; c < image.channels; ++c) {
+            ASSERT_EQ(tokens[i++], static_cast<float>(image.at(y, x, c)));
           }
         }
       }
-      std::vector<float> back(values.size());
-      fold_rows(patches, tokens.data(), back.data(), 0, cut);
-      fold_rows(patches, tokens.data(), back.data(), cut, rows);
-      ASSERT_EQ(back, values);
     }
-  });
+    std::vector<float> back(values.size());
+    fold_rows(patches, tokens.data(), back.data(), 0, cut);
+    fold_rows(patches, tokens.data(), back.data(), cut, rows);
+    ASSERT_EQ(back, values);
+  }
 }
 
 // Of the four pixels around (y, x).
@@ -87,31 +85,29 @@ double interpolated(const Image& image, double y, double x, int c) {
 }
 
 TEST(ReshapeKernel, ResizesAnyImageAsPlainInterpolationDoes) {
-  for_each_isa([] {
-    Random random(2);
-    for (int round = 0; round < 20; ++round) {
-      const Image in =
-          make_image(random, random.whole(1, 9), random.whole(1, 9), random.whole(1, 40));
-      Image want = {random.whole(1, 12), random.whole(1, 12), in.channels, {}};
-      for (int y = 0; y < want.height; ++y) {
-        for (int x = 0; x < want.width; ++x) {
-          const double from_y = (y + 0.5) * in.height / want.height - 0.5;
-          const double from_x = (x + 0.5) * in.width / want.width - 0.5;
-          for (int c = 0; c < in.channels; ++c) {
-            want.values.push_back(interpolated(in, from_y, from_x, c));
-          }
+  Random random(2);
+  for (int round = 0; round < 20; ++round) {
+    const Image in =
+        make_image(random, random.whole(1, 9), random.whole(1, 9), random.whole(1, 40));
+    Image want = {random.whole(1, 12), random.whole(1, 12), in.channels, {}};
+    for (int y = 0; y < want.height; ++y) {
+      for (int x = 0; x < want.width; ++x) {
+        const double from_y = (y + 0.5) * in.height / want.height - 0.5;
+        const double from_x = (x + 0.5) * in.width / want.width - 0.5;
+        for (int c = 0; c < in.channels; ++c) {
+          want.values.push_back(interpolated(in, from_y, from_x, c));
         }
       }
-      const auto values = to_floats(in.values);
-      std::vector<float> out(want.values.size());
-      const Resize args = {values.data(), in.height,   in.width,  want.height,
-                           want.width,    in.channels, out.data()};
-      const int cut = random.whole(0, want.height);
-      resize_rows(args, cut, want.height);
-      resize_rows(args, 0, cut);
-      expect_near(out, want, 1e-5);
     }
-  });
+    const auto values = to_floats(in.values);
+    std::vector<float> out(want.values.size());
+    const Resize args = {values.data(), in.height,   in.width,  want.height,
+                         want.width,    in.channels, out.data()};
+    const int cut = random.whole(0, want.height);
+    resize_rows(args, cut, want.height);
+    resize_rows(args, 0, cut);
+    expect_near(out, want, 1e-5);
+  }
 }
 
 }  // namespace

@@ -1,9 +1,13 @@
 // The team of inference threads.
 #include "firmware/nn/worker_pool.h"
 
+#include <fstream>
 #include <gtest/gtest.h>
 #include <numeric>
 #include <sched.h>
+#include <sys/resource.h>
+#include <system_error>
+#include <unistd.h>
 
 #include "firmware/base/os.h"
 
@@ -44,6 +48,28 @@ TEST(WorkerPool, TheCallerIsWorkerZero) {
   EXPECT_NE(ids[1], caller);
   EXPECT_NE(ids[1], ids[2]);
 }
+
+#ifndef LCDM_SANITIZED  // their own maps do not fit either
+// As where ulimit -u or TasksMax= ends in the midst of a team: its first threads must not be left.
+void run_short_of_threads() {
+  std::ifstream statm("/proc/self/statm");
+  rlim_t pages = 0;
+  statm >> pages;
+  const rlim_t room = pages * static_cast<rlim_t>(sysconf(_SC_PAGESIZE)) + (rlim_t{40} << 20);
+  const rlimit limit = {room, room};  // of stacks of 8 MB each, among all else
+  setrlimit(RLIMIT_AS, &limit);
+  try {
+    WorkerPool pool(64);
+  } catch (const std::system_error&) {
+    _exit(0);
+  }
+  _exit(1);
+}
+
+TEST(WorkerPoolDeathTest, SaysThatThereAreNoMoreThreads) {
+  EXPECT_EXIT(run_short_of_threads(), testing::ExitedWithCode(0), "");
+}
+#endif
 
 TEST(WorkerPool, PinnedWorkersStayOnAProcessorOfTheirOwn) {
   const int processors = os::processor_count();
