@@ -59,8 +59,8 @@ void compose(const HeadParameters& p, std::size_t place, std::size_t n, Composed
 
 ComposedHead compose(const HeadParameters& p) {
   const std::size_t channels = p.scale.size();
-  ComposedHead out{std::vector<float>(kernels::kHeadPlaces * 25 * channels),
-                   std::vector<float>(kernels::kHeadPlaces * channels)};
+  ComposedHead out{std::vector<float>(channels * 25 * kernels::kHeadPlaces),
+                   std::vector<float>(channels * kernels::kHeadPlaces)};
   for (std::size_t place = 0; place < kernels::kHeadPlaces; ++place) {
     for (std::size_t n = 0; n < channels; ++n) compose(p, place, n, out);
   }
