@@ -7,12 +7,12 @@
 
 namespace lcdm::model {
 
-// `matrix` [rows, columns] with its singular values brought to about 1 (.68 to 1.13) and its
-// singular vectors kept, by five steps of a Newton-Schulz iteration.
+// `matrix` [rows, columns] with its singular values brought to about 1 and its singular vectors
+// kept, by five steps of a Newton-Schulz iteration.
 torch::Tensor orthogonalised(const torch::Tensor& matrix);
 
-// Whether Muon can serve a parameter: a convolution or linear layer of at least 8 x 16 numbers as
-// [outputs, the rest]. Depthwise filters, biases, norms and the last convolution are not.
+// At least 8 x 16 numbers as [outputs, the rest]: weights of convolutions and linear layers.
+// Depthwise filters, biases, norms and the last convolution are not.
 bool is_matrix(const torch::Tensor& parameter);
 
 // The change of a parameter for a learning rate of 1; `momentum` takes the gradient in. Its size is

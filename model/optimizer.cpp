@@ -5,6 +5,7 @@
 #include <future>
 
 #include "model/muon.h"
+#include "model/worker_thread.h"
 
 namespace lcdm::model {
 namespace {
@@ -47,8 +48,7 @@ void Optimizer::step(const std::function<double(const std::string&)>& rate_of) {
   std::atomic<std::size_t> next = 0;
   const auto work = [&] {
     const torch::NoGradGuard no_grad;
-    at::set_num_threads(1);  // of this thread
-    at::globalContext().setFlushDenormal(true);
+    begin_worker_thread();
     for (std::size_t i = next++; i < slots_.size(); i = next++) {
       if (slots_[i].parameter.grad().defined()) change(slots_[i], rate_of(slots_[i].name));
     }

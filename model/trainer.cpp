@@ -10,6 +10,7 @@
 #include "model/safetensors.h"
 #include "model/training_samples.h"
 #include "model/widener.h"
+#include "model/worker_thread.h"
 
 namespace lcdm::model {
 namespace {
@@ -251,9 +252,7 @@ Losses Trainer::run_batch(const Batch& batch, int k) {
 }
 
 Losses Trainer::run_worker(int worker, int k, const Batch& part, double share) {
-  at::set_num_threads(1);  // of this thread: two whole passes side by side beat one on two threads
-  // Of this thread too. Trained networks make many subnormal numbers: 1.10 s a step, not .30.
-  at::globalContext().setFlushDenormal(true);
+  begin_worker_thread();
   TrainedNetworks& networks = replicas_->of(worker);
   // Numbered over all processes: two of them with a worker each are one with two workers.
   const auto number =
