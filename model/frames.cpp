@@ -9,6 +9,12 @@ bool amid_a_sequence(const Frames& frames, std::size_t index) {
          sequence_of(frames.name(index + 1)) == sequence;
 }
 
+bool Frames::has_neighbours(std::size_t /*index*/) const { return false; }
+
+Result<cv::Mat> Frames::neighbour(std::size_t index, int /*offset*/) const {
+  return Status::error(StatusCode::kNotFound, "%s has no neighbours in time", name(index).c_str());
+}
+
 bool MemoryFrames::has_neighbours(std::size_t index) const {
   return video_ && amid_a_sequence(*this, index);
 }

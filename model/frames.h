@@ -35,10 +35,10 @@ class Frames {
   virtual std::string name(std::size_t index) const = 0;
   // kNotFound, kCorrupt: a file of this frame is missing or cannot be used, named in the text.
   virtual Result<PackFrame> read(std::size_t index) const = 0;
-  // Whether the pictures before and after `index` in time exist and can be had.
-  virtual bool has_neighbours(std::size_t index) const = 0;
+  // Whether the pictures before and after `index` in time exist and can be had. Stills have none.
+  virtual bool has_neighbours(std::size_t index) const;
   // The picture one frame before (`offset` -1) or after (+1), of the size of read()'s.
-  virtual Result<cv::Mat> neighbour(std::size_t index, int offset) const = 0;
+  virtual Result<cv::Mat> neighbour(std::size_t index, int offset) const;
 };
 
 // Frames already in memory. `video`: neighbours are neighbours in time, within a sequence.

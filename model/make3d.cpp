@@ -61,12 +61,6 @@ class Make3dFrames final : public Frames {
     });
   }
 
-  bool has_neighbours(std::size_t) const override { return false; }
-  Result<cv::Mat> neighbour(std::size_t index, int) const override {
-    return Status::error(StatusCode::kNotFound, "%s: Make3D's pictures have no neighbours",
-                         names_[index].c_str());
-  }
-
  private:
   // The middle rows, half as many as the picture is wide.
   static void keep_centre(PackFrame& frame) {

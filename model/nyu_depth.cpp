@@ -43,19 +43,9 @@ Result<PackFrame> frame_of(const std::string& name, const cv::Mat& rgb, const cv
   return frame;
 }
 
-// What both forms have in common: frames without neighbours.
-class StillFrames : public Frames {
- public:
-  bool has_neighbours(std::size_t) const override { return false; }
-  Result<cv::Mat> neighbour(std::size_t index, int) const override {
-    return Status::error(StatusCode::kNotFound, "%s: the labelled pictures have no neighbours",
-                         name(index).c_str());
-  }
-};
-
 // ---- The MATLAB file ----------------------------------------------------------------------------
 
-class LabelledFrames final : public StillFrames {
+class LabelledFrames final : public Frames {
  public:
   LabelledFrames(std::string path, std::shared_ptr<const MatFile> file, std::vector<int> numbers,
                  const NyuDepthOptions& options)
@@ -150,7 +140,7 @@ Result<std::shared_ptr<const Frames>> open_labelled(const fs::path& root,
 
 // ---- The folders --------------------------------------------------------------------------------
 
-class FolderFrames final : public StillFrames {
+class FolderFrames final : public Frames {
  public:
   FolderFrames(fs::path folder, std::vector<std::string> names, int max_width)
       : folder_(std::move(folder)), names_(std::move(names)), max_width_(max_width) {}

@@ -26,11 +26,6 @@ class RenderedFrames final : public Frames {
     return std::to_string(view.seed) + "-" + std::to_string(view.number);
   }
   Result<PackFrame> read(std::size_t index) const override;
-  bool has_neighbours(std::size_t) const override { return false; }
-  Result<cv::Mat> neighbour(std::size_t index, int) const override {
-    return Status::error(StatusCode::kNotFound, "the rendered frame %s has no neighbours in time",
-                         name(index).c_str());
-  }
 
  private:
   struct View {

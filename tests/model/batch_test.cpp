@@ -158,10 +158,6 @@ class DamagedFrames final : public Frames {
                      cv::Mat(48, 64, CV_32F, cv::Scalar(2)),
                      CameraModel::from_field_of_view(64, 48, 60)};
   }
-  bool has_neighbours(std::size_t /*index*/) const override { return false; }
-  Result<cv::Mat> neighbour(std::size_t /*index*/, int /*offset*/) const override {
-    return Status::error(StatusCode::kNotFound, "none");
-  }
 
  private:
   bool all_;
