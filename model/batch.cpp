@@ -132,8 +132,7 @@ Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const Batch
     paste_things(random.seed(), frame);
   }
   if (!views && random.chance(0.4)) roll(frame, random);
-  const double aspect =
-      static_cast<double>(shape.width) / shape.height * random.uniform(0.88, 1.14);
+  const double aspect = shape.squeeze * shape.width / shape.height * random.uniform(0.88, 1.14);
   const cv::Rect crop = random_crop(frame.rgb.size(), aspect, random);
   const cv::Size size(shape.width, shape.height);
   AugmentedSample out;

@@ -24,6 +24,9 @@ struct BatchShape {
   bool wide = false;
   bool views = false;  // with the neighbouring frames
   int first = 0;       // number of its first sample in a batch that several processes share
+  // Aspect of the device's pictures over this size's: sides are multiples of 32, and the device too
+  // squeezes whole pictures into such.
+  double squeeze = 1;
 };
 
 // Random numbers of one sample; the same on every machine.

@@ -59,10 +59,7 @@ cv::Mat colour_of(const cv::Mat& depth) {
 
 cv::Size deployed_size(cv::Size picture, double share) {
   const NetworkSize whole = choose_network_size({.width = picture.width, .height = picture.height});
-  const auto scaled = [share](int side) {
-    return std::max(64, static_cast<int>(std::lround(side * share / 32)) * 32);
-  };
-  return {scaled(whole.width), scaled(whole.height)};
+  return {scaled_side(whole.width, share), scaled_side(whole.height, share)};
 }
 
 namespace {

@@ -1,5 +1,6 @@
 #include "model/recipe.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <sstream>
@@ -100,6 +101,10 @@ std::string recipe_text(const Recipe& recipe) {
   line("gradient", recipe.losses.gradient);
   line("direct", recipe.losses.direct);
   return text.str();
+}
+
+int scaled_side(int side, double share) {
+  return std::max(64, static_cast<int>(std::lround(side * share / 32)) * 32);
 }
 
 std::int64_t first_step(const Recipe& recipe, double share) {

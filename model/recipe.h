@@ -17,6 +17,9 @@ namespace lcdm::model {
 inline constexpr int kDeployed[2][2] = {{640, 192}, {384, 288}};
 inline constexpr float kCanonicalFocal = 320;  // pixels, at these sizes
 
+// `share` of a side, to the nearest multiple of 32 that a network can have.
+int scaled_side(int side, double share);
+
 // A part of the training: the size of its pictures and how many make a batch.
 struct Stage {
   double share = 1;  // of the deployed size

@@ -7,6 +7,7 @@
 
 #include "model/checkpoint.h"
 #include "model/config_json.h"
+#include "model/direct_fit.h"
 #include "model/safetensors.h"
 #include "model/training_samples.h"
 #include "model/widener.h"
@@ -104,12 +105,18 @@ void Trainer::spread_weights() {
   replicas_->broadcast_statistics();
 }
 
-Status Trainer::measure(torch::nn::Module& part, Answers answers) {
+Result<std::vector<torch::Tensor>> Trainer::sample_pictures() const {
   const auto batches = make_samples(recipe_, recipe_.stages[stage_at(recipe_, step_)], packs_);
   if (!batches) return batches.status();
   std::vector<torch::Tensor> pictures;
   for (const Batch& batch : *batches) pictures.push_back(batch.rgb.to(compute_.device));
-  measure_statistics(networks_->depth, part, answers, pictures);
+  return pictures;
+}
+
+Status Trainer::measure(torch::nn::Module& part, Answers answers) {
+  const auto pictures = sample_pictures();
+  if (!pictures) return pictures.status();
+  measure_statistics(networks_->depth, part, answers, *pictures);
   return Status::ok();
 }
 
@@ -147,6 +154,11 @@ Status Trainer::start_from(const DepthNetwork& trained, NormStatistics statistic
   }
   if (statistics == NormStatistics::kMissing) {
     LCDM_RETURN_IF_ERROR(measure(*networks_->depth, Answers::kKeep));
+  }
+  if ((trained->direct->weight == 0).all().item<bool>()) {
+    const auto pictures = sample_pictures();
+    if (!pictures) return pictures.status();
+    fit_direct(networks_->depth, *pictures);
   }
   config.licence = trained->config.licence;
   config.variable_mean = trained->config.variable_mean;

@@ -65,7 +65,8 @@ class Trainer {
   // Starts the depth network from weights trained before, also of a smaller encoder (widener.h);
   // before the first step. Their licence comes with them, and their sampler's start where the
   // recipe names none; with `kMissing`, and in a wider network, the batch norms' statistics are
-  // measured on the first samples. kInvalidInput: another preset or shape, a larger encoder; errors
+  // measured on the first samples, and a missing 0-step answer is fitted to the sampler's there.
+  // kInvalidInput: another preset or shape, a larger encoder; errors
   // as make_batch.
   Status start_from(const DepthNetwork& trained, NormStatistics statistics);
   // Starts encoder or pose network from others' weights; before the first step. The encoder's
@@ -101,6 +102,8 @@ class Trainer {
   Phase phase_at(std::int64_t step) const;
   // What the averaged weights were trained as: a score is of these, not of what comes next.
   Phase newest_phase() const { return phase_at(step_ > 0 ? step_ - 1 : 0); }
+  // Samples of the present stage, [B, 3, H, W] each, on the device.
+  Result<std::vector<torch::Tensor>> sample_pictures() const;
   // The batch-norm statistics of `part` of the depth network, on samples of the present stage.
   Status measure(torch::nn::Module& part, Answers answers);
   // The head's, where it joins after statistics are frozen, so that nothing has gone through it, or

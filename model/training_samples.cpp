@@ -8,10 +8,6 @@
 namespace lcdm::model {
 namespace {
 
-int multiple_of_32(double size) {
-  return std::max(64, static_cast<int>(std::lround(size / 32)) * 32);
-}
-
 // Whether any pictures are drawn for batches of the wide or of the 4:3 shape.
 bool is_drawn(const std::vector<Pack>& packs, bool wide) {
   return std::any_of(packs.begin(), packs.end(), [wide](const Pack& pack) {
@@ -26,8 +22,9 @@ std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, in
   std::vector<BatchShape> shapes;
   for (const auto& [width, height] : kDeployed) {
     BatchShape shape;
-    shape.width = multiple_of_32(width * stage.share);
-    shape.height = multiple_of_32(height * stage.share);
+    shape.width = scaled_side(width, stage.share);
+    shape.height = scaled_side(height, stage.share);
+    shape.squeeze = static_cast<double>(width) / height * shape.height / shape.width;
     shape.canonical_focal =
         kCanonicalFocal * static_cast<float>(shape.width) / static_cast<float>(width);
     shape.images = stage.images;

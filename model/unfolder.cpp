@@ -22,6 +22,19 @@ Tensors tensors_of(const ModelFile& file) {
   return tensors;
 }
 
+// Folding multiplied every filter by what its norm does to it, which makes it several times
+// smaller; learning rates are made for filters of the size they begin with, and would overwrite it
+// in a few steps. So each becomes as large as a new one, and its norm undoes that. Returns what the
+// norm multiplies by, [out].
+torch::Tensor enlarge_filters(const torch::Tensor& folded, torch::Tensor& weight) {
+  const auto size_of = [](const torch::Tensor& filters) {
+    return filters.square().mean({1, 2, 3}).sqrt().clamp_min(1e-6);
+  };
+  const torch::Tensor factor = size_of(weight).mean() / size_of(folded);
+  weight.copy_(folded * factor.reshape({-1, 1, 1, 1}));
+  return 1 / factor;
+}
+
 // Multiplies by `scale` and adds `bias`, in evaluation mode.
 void set_norm(NormImpl& bn, const torch::Tensor& scale, const torch::Tensor& bias) {
   bn.weight.copy_(scale);
@@ -44,8 +57,9 @@ void unfold_encoder(const Tensors& from, MobileVit& encoder) {
     auto* block = item.value()->as<ConvNorm>();
     if (block == nullptr) continue;
     const torch::Tensor& bias = from.at(item.key() + ".bias");
-    block->conv->weight.copy_(from.at(item.key() + ".weight"));
-    set_norm(*block->bn, torch::ones_like(bias), bias);
+    const torch::Tensor scale =
+        enlarge_filters(from.at(item.key() + ".weight"), block->conv->weight);
+    set_norm(*block->bn, scale, bias);
   }
 }
 

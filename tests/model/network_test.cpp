@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include "model/depth_code.h"
+#include "model/direct_fit.h"
 #include "model/exporter.h"
 #include "model/folded_net.h"
 #include "model/unfolder.h"
@@ -179,6 +180,59 @@ TEST_P(Export, IsUndoneForFineTuning) {
   const torch::Tensor before = network->sample(network->condition_of(rgb), 2);
   const torch::Tensor after = (*again)->sample((*again)->condition_of(rgb), 2);
   EXPECT_LT((before - after).abs().mean().item<float>(), 0.01);
+}
+
+// Learning rates are made for filters of the size they begin with; folding made them smaller.
+TEST(Unfolder, GivesBackFiltersAsLargeAsNewOnes) {
+  torch::manual_seed(12);
+  DepthNetwork network(config_of(EncoderKind::kXxs, PresetKind::kLcdm));
+  const torch::Tensor filters = network->encoder->stem->conv->weight.clone();
+  {
+    const torch::NoGradGuard no_grad;
+    network->encoder->stem->bn->weight.fill_(0.1);
+  }
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("model.safetensors");
+  ASSERT_TRUE(export_network(network, path));
+  const Result<DepthNetwork> again = unfold_model(path);
+  ASSERT_TRUE(again) << again.status().text();
+  const double size = (*again)->encoder->stem->conv->weight.square().mean().sqrt().item<double>();
+  const double as_new = filters.square().mean().sqrt().item<double>();
+  EXPECT_NEAR(size, as_new, 0.2 * as_new);
+}
+
+double distance_to_sampler(DepthNetwork& network, const torch::Tensor& rgb) {
+  const torch::NoGradGuard no_grad;
+  const torch::Tensor condition = network->condition_of(rgb);
+  return (network->sample(condition, 0) - network->sample(condition, 2))
+      .square()
+      .mean()
+      .item<double>();
+}
+
+// A head without noise that only adds: but for the picture's border its answer is a convolution of
+// the condition.
+void make_linear(DepthNetwork& network) {
+  network->config.start = StartKind::kZeros;
+  Head& head = network->head;
+  for (torch::Tensor tensor :
+       {head->embed->weight, head->embed->bias, head->time_embed, head->conv1->weight}) {
+    tensor.zero_();
+  }
+  for (int c = 0; c < network->config.condition_channels; ++c) head->conv1->weight[c][c][1][1] = 1;
+  head->conv1->bias.fill_(1);  // ELU gives more than -1, so ReLU lets all through
+}
+
+TEST(DirectFit, FindsTheConvolutionThatASamplerIs) {
+  torch::manual_seed(4);
+  DepthNetwork network(config_of(EncoderKind::kXxs, PresetKind::kLcdm));
+  network->eval();
+  const torch::NoGradGuard no_grad;
+  make_linear(network);
+  const torch::Tensor rgb = torch::randn({4, 3, 96, 128});
+  const double before = distance_to_sampler(network, rgb);
+  fit_direct(network, {rgb.slice(0, 0, 2), rgb.slice(0, 2, 4)});
+  EXPECT_LT(distance_to_sampler(network, rgb), 0.05 * before);
 }
 
 INSTANTIATE_TEST_SUITE_P(Presets, Export, testing::Values(PresetKind::kLcdm, PresetKind::kPaper));

@@ -7,6 +7,7 @@
 #include "model/replicas.h"
 #include "model/safetensors.h"
 #include "model/scene_pack.h"
+#include "model/training_samples.h"
 #include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
@@ -70,6 +71,16 @@ TEST(Trainer, TrainsOneShapeAlone) {
         std::vector<PackFrame>(packs[1].frames->size()), false);  // empty: not to be drawn
     const auto trainer = trainer_of(small_recipe(), packs);
     for (int i = 0; i < 2; ++i) ASSERT_TRUE(trainer->advance());
+  }
+}
+
+// A side is a multiple of 32, so a share of 4:3 is seldom 4:3; what is cut for it is all the same.
+TEST(TrainingSamples, AreCutInTheDevicesShapes) {
+  for (const double share : {0.35, 0.5, 0.6, 1.0}) {
+    for (const BatchShape& shape : make_shapes({}, {share, 4, 1}, 0, scene_packs())) {
+      const double aspect = shape.squeeze * shape.width / shape.height;
+      EXPECT_NEAR(aspect, shape.wide ? 640.0 / 192 : 4.0 / 3, 1e-9) << "share " << share;
+    }
   }
 }
 
