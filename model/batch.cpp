@@ -6,13 +6,12 @@
 
 #include "model/depth_code.h"
 #include "model/pasted_things.h"
+#include "model/pixel_scale.h"
 
 namespace lcdm::model {
 namespace {
 
-constexpr int kDrawsPerSample = 8;  // of frames, until one can be read
-constexpr double kMean = 0.45;
-constexpr double kDeviation = 0.225;
+constexpr int kDrawsPerSample = 8;    // of frames, until one can be read
 constexpr double kSteepestRoll = 10;  // degrees
 
 cv::Rect random_crop(cv::Size full, double aspect, SampleRandom& random) {
@@ -118,7 +117,8 @@ std::size_t SampleRandom::below(std::size_t n) { return static_cast<std::size_t>
 torch::Tensor normalised(const cv::Mat& rgb) {
   cv::Mat out;
   const double unit = rgb.depth() == CV_8U ? 1.0 / 255 : 1;
-  rgb.convertTo(out, CV_32FC3, unit / kDeviation, -kMean / kDeviation);
+  constexpr double kDeviation = kOurPixels.deviation[0];  // the same of every colour
+  rgb.convertTo(out, CV_32FC3, unit / kDeviation, -kOurPixels.mean[0] / kDeviation);
   return torch::from_blob(out.data, {out.rows, out.cols, 3}, torch::kFloat32).clone();
 }
 

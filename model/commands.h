@@ -10,6 +10,7 @@ namespace lcdm::model {
 
 void add_train(CLI::App& app, Status& status);
 void add_teach(CLI::App& app, Status& status);
+void add_imitate(CLI::App& app, Status& status);
 void add_ablate(CLI::App& app, Status& status);
 void add_report(CLI::App& app, Status& status);
 void add_evaluate(CLI::App& app, Status& status);

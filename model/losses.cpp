@@ -4,6 +4,7 @@
 
 #include "firmware/nn/sampler.h"
 #include "model/depth_code.h"
+#include "model/pixel_scale.h"
 #include "model/self_supervision.h"
 
 namespace lcdm::model {
@@ -231,7 +232,7 @@ class DepthLosses {
   torch::Tensor photometric(const torch::Tensor& depth, at::Generator& generator) const {
     const Views& views = batch_.views;
     const auto small = [](const torch::Tensor& picture) {
-      return torch::avg_pool2d((picture - 0.45) / 0.225, 2);
+      return torch::avg_pool2d(scale_pixels(picture, kOurPixels), 2);
     };
     const Motion before = networks_->pose->forward(small(views.earlier), small(views.here));
     const Motion after = networks_->pose->forward(small(views.here), small(views.later));

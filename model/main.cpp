@@ -73,6 +73,7 @@ int main(int argc, char** argv) {
   });
   lcdm::model::add_train(app, status);
   lcdm::model::add_teach(app, status);
+  lcdm::model::add_imitate(app, status);
   lcdm::model::add_ablate(app, status);
   lcdm::model::add_evaluate(app, status);
   lcdm::model::add_report(app, status);

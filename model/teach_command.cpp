@@ -126,11 +126,8 @@ void add_teach(CLI::App& app, Status& status) {
       ->expected(2)
       ->check(CLI::Range(32, 4096))
       ->capture_default_str();
-  const std::map<std::string, TorchscriptOptions::Pixels> pixels = {
-      {"unit", TorchscriptOptions::Pixels::kUnit},
-      {"imagenet", TorchscriptOptions::Pixels::kImagenet}};
   add_choice(
-      *command, "--pixels", options->torchscript.pixels, pixels,
+      *command, "--pixels", options->torchscript.pixels, pixel_scale_names(),
       "How the module's pictures are scaled: unit ([0, 1]) or imagenet (mean and deviation)");
   const std::map<std::string, TorchscriptOptions::Gives> gives = {
       {"depth", TorchscriptOptions::Gives::kDepth},

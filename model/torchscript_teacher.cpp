@@ -8,7 +8,6 @@ namespace lcdm::model {
 namespace {
 
 using Gives = TorchscriptOptions::Gives;
-using Pixels = TorchscriptOptions::Pixels;
 
 constexpr double kNearest = 1;  // metres, of stored affine-invariant maps
 constexpr double kFarthest = 100;
@@ -17,17 +16,12 @@ torch::Tensor input_of(const cv::Mat& rgb, const TorchscriptOptions& options) {
   cv::Mat resized;
   cv::resize(rgb, resized, options.input, 0, 0,
              rgb.cols > options.input.width ? cv::INTER_AREA : cv::INTER_LINEAR);
-  torch::Tensor picture =
+  const torch::Tensor picture =
       torch::from_blob(resized.data, {1, resized.rows, resized.cols, 3}, torch::kUInt8)
           .to(torch::kFloat32)
           .div(255)
           .permute({0, 3, 1, 2});
-  if (options.pixels == Pixels::kImagenet) {
-    const torch::Tensor mean = torch::tensor({0.485F, 0.456F, 0.406F}).reshape({1, 3, 1, 1});
-    const torch::Tensor deviation = torch::tensor({0.229F, 0.224F, 0.225F}).reshape({1, 3, 1, 1});
-    picture = (picture - mean) / deviation;
-  }
-  return picture.contiguous();
+  return scale_pixels(picture, options.pixels).contiguous();
 }
 
 // The first tensor of what a module gives; undefined where there is none.

@@ -6,14 +6,14 @@
 
 #include "firmware/base/status.h"
 #include "model/evaluation.h"
+#include "model/pixel_scale.h"
 
 namespace lcdm::model {
 
 struct TorchscriptOptions {
   std::string file;
   cv::Size input;  // what it is fed; multiples of what it needs
-  // How its RGB pictures are scaled: [0, 1], or less ImageNet's mean and by its deviation.
-  enum class Pixels : std::uint8_t { kUnit, kImagenet } pixels = Pixels::kImagenet;
+  PixelScale pixels = kImagenetPixels;
   // What comes out: metres, inverse depth of unknown scale (to be learned with Alignment::kScale),
   // or of unknown scale and shift, which is spread over 1 to 100 m (Alignment::kAffine).
   enum class Gives : std::uint8_t { kDepth, kInverse, kAffineInverse } gives = Gives::kInverse;

@@ -6,16 +6,11 @@
 #include "model/depth_code.h"
 
 namespace lcdm::model {
-namespace {
-
-// Whether any pictures are drawn for batches of the wide or of the 4:3 shape.
 bool is_drawn(const std::vector<Pack>& packs, bool wide) {
   return std::any_of(packs.begin(), packs.end(), [wide](const Pack& pack) {
     return !pack.train.empty() && (wide ? pack.use.wide_share : pack.use.tall_share) > 0;
   });
 }
-
-}  // namespace
 
 std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, int rank,
                                     const std::vector<Pack>& packs) {

@@ -22,6 +22,9 @@ Result<std::vector<Batch>> make_samples(const Recipe& recipe, Stage stage,
 // Mean and deviation of the teacher's logit (`lcdm` only). Errors as make_batch.
 Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs);
 
+// Whether any pictures are drawn for batches of the wide or of the 4:3 shape.
+bool is_drawn(const std::vector<Pack>& packs, bool wide);
+
 // kInvalidInput: nothing is ever drawn of any pack.
 Status check_shares(const std::vector<Pack>& packs);
 

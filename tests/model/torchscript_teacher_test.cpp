@@ -24,7 +24,7 @@ class TorchscriptTeacher : public testing::Test {
     TorchscriptOptions options;
     options.file = path_;
     options.input = {64, 32};
-    options.pixels = TorchscriptOptions::Pixels::kUnit;
+    options.pixels = kUnitPixels;
     options.gives = gives;
     return torchscript_estimator(options);
   }
@@ -111,7 +111,7 @@ TEST(MonoVit, CheckpointBecomesATeacher) {
   TorchscriptOptions options;
   options.file = module;
   options.input = {64, 32};
-  options.pixels = TorchscriptOptions::Pixels::kUnit;
+  options.pixels = kUnitPixels;
   options.gives = Gives::kInverse;
   const auto teacher = torchscript_estimator(options);
   ASSERT_TRUE(teacher) << teacher.status().text();
