@@ -5,6 +5,8 @@
 #include <sstream>
 #include <utility>
 
+#include "model/checkpoint.h"
+
 namespace lcdm::model {
 namespace {
 
@@ -75,8 +77,7 @@ std::string shape_text(const torch::Tensor& tensor) {
 Result<ImportReport> copy_all(const Tensors& tensors, torch::nn::Module& network) {
   const torch::NoGradGuard no_grad;
   Tensors mine;
-  for (const auto& item : network.named_parameters()) mine[item.key()] = item.value();
-  for (const auto& item : network.named_buffers()) mine[item.key()] = item.value();
+  collect(network, "", mine);
   ImportReport report;
   for (const auto& [name, tensor] : mine) {
     const bool counter = name.find("num_batches_tracked") != std::string::npos;

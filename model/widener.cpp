@@ -1,7 +1,12 @@
 #include "model/widener.h"
 
 #include <cmath>
+#include <map>
+#include <string>
 #include <vector>
+
+#include "firmware/base/check.h"
+#include "model/checkpoint.h"
 
 namespace lcdm::model {
 namespace {
@@ -202,10 +207,9 @@ void widen_decoder(const Decoder& narrow, Decoder& wide) {
 }
 
 void copy_all(const torch::nn::Module& from, torch::nn::Module& to) {
-  const auto parameters = from.named_parameters();
-  const auto buffers = from.named_buffers();
-  for (auto& item : to.named_parameters()) item.value().copy_(parameters[item.key()]);
-  for (auto& item : to.named_buffers()) item.value().copy_(buffers[item.key()]);
+  std::map<std::string, torch::Tensor> tensors;
+  collect(from, "", tensors);
+  LCDM_CHECK(restore(to, "", tensors));  // fits() looked at all that decides their shapes
 }
 
 bool fits(const ModelConfig& narrow, const ModelConfig& wide) {
