@@ -16,6 +16,7 @@ using EnginePtr = std::unique_ptr<Engine>;
 // Both factories' file: that of the start, until the second of them has used it.
 struct Model {
   Config config;
+  ModelConfig network;
   std::optional<ModelFile> first;
 
   Result<EnginePtr> prepare(const EngineOptions& options, const FrameFormat& format,
@@ -39,7 +40,8 @@ NetworkSize smaller_size(NetworkSize full) {
 }
 
 EngineFactories engine_factories(const Config& config, ModelFile first) {
-  auto model = std::make_shared<Model>(Model{config, std::move(first)});
+  const ModelConfig network = first.config();
+  auto model = std::make_shared<Model>(Model{config, network, std::move(first)});
   EngineFactories factories;
   factories.full = [model](const FrameFormat& format, const CameraModel& camera,
                            const Pipeline::Alive& alive) {
@@ -49,7 +51,7 @@ EngineFactories engine_factories(const Config& config, ModelFile first) {
                             const Pipeline::Alive& alive) -> Result<EnginePtr> {
     EngineOptions options = engine_options(model->config);
     const NetworkSize full = options.width > 0 ? NetworkSize{options.width, options.height}
-                                               : choose_network_size(camera);
+                                               : choose_network_size(model->network, camera);
     const NetworkSize small = smaller_size(full);
     options.width = small.width;
     options.height = small.height;

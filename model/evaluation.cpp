@@ -18,8 +18,8 @@ namespace {
 namespace fs = std::filesystem;
 
 // The frame as the network's input, [1, 3, h, w].
-torch::Tensor input_of(const PackFrame& frame, double share) {
-  const cv::Size size = deployed_size(frame.rgb.size(), share);
+torch::Tensor input_of(const PackFrame& frame, const ModelConfig& model, double share) {
+  const cv::Size size = deployed_size(model, frame.rgb.size(), share);
   cv::Mat resized;
   cv::resize(frame.rgb, resized, size, 0, 0,
              frame.rgb.cols > size.width ? cv::INTER_AREA : cv::INTER_LINEAR);
@@ -57,8 +57,9 @@ cv::Mat colour_of(const cv::Mat& depth) {
 
 }  // namespace
 
-cv::Size deployed_size(cv::Size picture, double share) {
-  const NetworkSize whole = choose_network_size({.width = picture.width, .height = picture.height});
+cv::Size deployed_size(const ModelConfig& model, cv::Size picture, double share) {
+  const NetworkSize whole =
+      choose_network_size(model, {.width = picture.width, .height = picture.height});
   return {scaled_side(whole.width, share), scaled_side(whole.height, share)};
 }
 
@@ -68,7 +69,7 @@ namespace {
 cv::Mat metres_of(const torch::Tensor& canonical, const PackFrame& frame,
                   const ModelConfig& config) {
   cv::Mat depth = to_mat(canonical.cpu());
-  const double deployed = deployed_size(frame.rgb.size()).width;
+  const double deployed = deployed_size(config, frame.rgb.size()).width;
   const double focal = frame.camera.fx * deployed / std::max(1, frame.camera.width);
   return depth * (focal / config.canonical_focal);
 }
@@ -79,7 +80,8 @@ Estimator network_estimator(DepthNetwork& network, int steps, double share) {
   return [&network, steps, share](const PackFrame& frame) {
     const torch::NoGradGuard no_grad;
     const torch::Device device = network->direct->weight.device();
-    const torch::Tensor condition = network->condition_of(input_of(frame, share).to(device));
+    const torch::Tensor condition =
+        network->condition_of(input_of(frame, network->config, share).to(device));
     const torch::Tensor variable = network->sample(condition, steps);
     return metres_of(depth_of_variable(variable, network->config), frame, network->config);
   };
@@ -94,7 +96,7 @@ Result<Estimator> file_estimator(const std::string& path, double share) {
   auto net = std::make_shared<FoldedNet>(*file);
   return Estimator([net, share, config = file->config()](const PackFrame& frame) {
     const torch::NoGradGuard no_grad;
-    return metres_of(net->forward(input_of(frame, share).contiguous()), frame, config);
+    return metres_of(net->forward(input_of(frame, config, share).contiguous()), frame, config);
   });
 }
 
@@ -140,8 +142,9 @@ Result<Estimator> engine_estimator(const std::string& path, Precision precision,
   if (!file) return file.status();
   const auto engines = std::make_shared<Engines>(std::move(*file), precision, threads);
   // Both now, so that none is missing when frames ask for it.
-  for (const int(&size)[2] : kDeployed) {
-    const Result<Engine*> engine = engines->of_size(deployed_size({size[0], size[1]}, share));
+  for (const auto& [width, height] : engines->config().trained_sizes) {
+    const cv::Size size = deployed_size(engines->config(), {width, height}, share);
+    const Result<Engine*> engine = engines->of_size(size);
     if (!engine) return engine.status();
     if ((*engine)->stats().precision != precision) {
       return Status::error(StatusCode::kUnsupported,
@@ -150,7 +153,8 @@ Result<Estimator> engine_estimator(const std::string& path, Precision precision,
     }
   }
   return Estimator([engines, share](const PackFrame& frame) -> cv::Mat {
-    const torch::Tensor input = input_of(frame, share).permute({0, 2, 3, 1}).contiguous();
+    const torch::Tensor input =
+        input_of(frame, engines->config(), share).permute({0, 2, 3, 1}).contiguous();
     const cv::Size size(static_cast<int>(input.size(2)), static_cast<int>(input.size(1)));
     const Result<Engine*> engine = engines->of_size(size);
     if (!engine) return {};

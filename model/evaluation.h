@@ -34,8 +34,9 @@ Estimator maps_estimator(const std::string& folder);
 Estimator folder_estimator(const std::string& folder);
 Estimator constant_estimator();
 
-// The input size that the device chooses for a camera of this picture size, or a share of it.
-cv::Size deployed_size(cv::Size picture, double share = 1);
+// The input size that the device chooses for this model and a camera of this picture size, or a
+// share of it.
+cv::Size deployed_size(const ModelConfig& model, cv::Size picture, double share = 1);
 
 // The picture as a camera sees it that moves `length` pixels of a 640 pixels wide picture while it
 // is exposed, straight, in a direction of the frame's own (`index` turns it by the golden angle).

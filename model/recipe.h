@@ -14,7 +14,7 @@
 namespace lcdm::model {
 
 // The deployed sizes, wide and 4:3 (NETWORK.md).
-inline constexpr int kDeployed[2][2] = {{640, 192}, {384, 288}};
+inline constexpr int kDeployed[2][2] = {{640, 192}, {256, 192}};
 inline constexpr float kCanonicalFocal = 320;  // pixels, at these sizes
 
 // `share` of a side, to the nearest multiple of 32 that a network can have.

@@ -103,8 +103,8 @@ Status add_costs(HtmlPage& page, const Options& options) {
   for (const std::string& path : options.models) {
     const Result<ModelFile> file = ModelFile::load(path);
     if (!file) return file.status();
-    for (const cv::Size size : {cv::Size(640, 192), cv::Size(384, 288)}) {
-      const auto row = cost_of(fs::path(path).stem().string(), *file, size.width, size.height);
+    for (const auto& [width, height] : file->config().trained_sizes) {
+      const auto row = cost_of(fs::path(path).stem().string(), *file, width, height);
       if (!row) return row.status();
       rows.push_back(*row);
     }

@@ -6,6 +6,17 @@
 #include "model/depth_code.h"
 
 namespace lcdm::model {
+namespace {
+
+// How many pictures of a size make up for one of the largest.
+int pictures_for_one(int width, int height) {
+  int most = 0;
+  for (const auto& [w, h] : kDeployed) most = std::max(most, w * h);
+  return most / (width * height);
+}
+
+}  // namespace
+
 bool is_drawn(const std::vector<Pack>& packs, bool wide) {
   return std::any_of(packs.begin(), packs.end(), [wide](const Pack& pack) {
     return !pack.train.empty() && (wide ? pack.use.wide_share : pack.use.tall_share) > 0;
@@ -22,8 +33,8 @@ std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, in
     shape.squeeze = static_cast<double>(width) / height * shape.height / shape.width;
     shape.canonical_focal =
         kCanonicalFocal * static_cast<float>(shape.width) / static_cast<float>(width);
-    shape.images = stage.images;
-    shape.first = rank * stage.images;
+    shape.images = stage.images * pictures_for_one(width, height);
+    shape.first = rank * shape.images;
     shape.wide = width > 2 * height;
     shape.views = recipe.losses.photometric > 0 || recipe.losses.smoothness > 0;
     if (is_drawn(packs, shape.wide)) shapes.push_back(shape);

@@ -52,7 +52,7 @@ int inspect(const CommonOptions& common) {
   const Result<ModelFile> file = load_model(*config);
   if (!file) return report(file.status());
   NetworkSize size{config->model.width, config->model.height};
-  if (size.width == 0) size = choose_network_size(kWideCamera);
+  if (size.width == 0) size = choose_network_size(file->config(), kWideCamera);
   const auto network = Network::build(file->config(), size.width, size.height);
   if (!network) return report(network.status());
   print_model(*file);

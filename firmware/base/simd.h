@@ -38,5 +38,5 @@
 #ifdef LCDM_SANITIZED
 #define LCDM_UNROLL
 #else
-#define LCDM_UNROLL _Pragma("GCC unroll 16")
+#define LCDM_UNROLL _Pragma("GCC unroll 32")
 #endif

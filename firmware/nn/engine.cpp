@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <utility>
 
 #include "firmware/base/check.h"
@@ -13,8 +14,6 @@
 
 namespace lcdm {
 namespace {
-
-constexpr int kPixelBudget = 122880;  // 640 * 192, and nearly 384 * 288
 
 // Pixels at the border whose depth is taken from inside: the convolutions' zero padding spoils
 // them. HoloLens frames (lcdm-xxs): AbsRel .212 there as computed, .204 repeated.
@@ -71,18 +70,35 @@ Result<Preprocess> prepare_input(const FrameFormat& format, const CameraModel& c
   return Preprocess::prepare(format, view.width, view.height, workers, std::move(*map));
 }
 
+// How far the shape of width x height is from `aspect`.
+double octaves_between(int width, int height, double aspect) {
+  return std::fabs(std::log2(width / aspect / height));
+}
+
+double pixel_budget(const ModelConfig& model, double aspect) {
+  double pixels = 640 * 192;
+  double nearest = std::numeric_limits<double>::infinity();
+  for (const auto& [width, height] : model.trained_sizes) {
+    const double distance = octaves_between(width, height, aspect);
+    if (distance >= nearest) continue;
+    nearest = distance;
+    pixels = static_cast<double>(width) * height;
+  }
+  return pixels;
+}
+
 }  // namespace
 
-NetworkSize choose_network_size(const CameraModel& camera) {
+NetworkSize choose_network_size(const ModelConfig& model, const CameraModel& camera) {
   const double aspect = static_cast<double>(camera.width) / camera.height;
+  const double budget = pixel_budget(model, aspect);
   NetworkSize best;
   double best_cost = 0;
   for (int height = Network::kMinSide; height <= Network::kMaxSide; height += Network::kSizeStep) {
     for (int width = Network::kMinSide; width <= Network::kMaxSide; width += Network::kSizeStep) {
       // Both in octaves; a wrong shape distorts the picture, a wrong budget only costs time.
-      const double pixels =
-          std::fabs(std::log2(static_cast<double>(width) * height / kPixelBudget));
-      const double shape = std::fabs(std::log2(width / aspect / height));
+      const double pixels = std::fabs(std::log2(static_cast<double>(width) * height / budget));
+      const double shape = octaves_between(width, height, aspect);
       const double cost = shape + pixels / 2;
       if (best.width == 0 || cost < best_cost) {
         best = {width, height};
@@ -98,8 +114,8 @@ Result<std::unique_ptr<Engine>> Engine::prepare(const ModelFile& model,
                                                 const FrameFormat& format,
                                                 const CameraModel& camera) {
   LCDM_RETURN_IF_ERROR(check_options(options, camera));
-  const NetworkSize size =
-      options.width > 0 ? NetworkSize{options.width, options.height} : choose_network_size(camera);
+  const NetworkSize size = options.width > 0 ? NetworkSize{options.width, options.height}
+                                             : choose_network_size(model.config(), camera);
   Result<Network> network = Network::build(model.config(), size.width, size.height);
   if (!network) return network.status();
   LCDM_RETURN_IF_ERROR(network->check_weights(model));

@@ -125,6 +125,19 @@ void check_conv(Random& random, const Image& first, Upsampling upsampling, int s
   if (stride == 1 && conv.input_count > 0) check_winograd(conv, whole, filter, skipped);
 }
 
+// Few columns have a tile of their own: 16 windows of three pixels, then 8, 4, 2 and 1.
+TEST(Conv3x3Kernel, ConvolvesWideRowsToFewChannels) {
+  for_each_isa([] {
+    Random random(7);
+    for (const int columns : {1, 8, 16}) {
+      for (const int width : {15, 16, 17, 31, 48}) {
+        check_conv(random, make_image(random, 3, width, 12), Upsampling::kNone, 0, 1,
+                   Padding::kZero, columns);
+      }
+    }
+  });
+}
+
 TEST(Conv3x3Kernel, ConvolvesAnySizeStrideAndPadding) {
   for_each_isa([] {
     Random random(1);

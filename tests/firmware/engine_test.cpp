@@ -312,9 +312,11 @@ TEST(Engine, TensorsAreReadByNameOnlyWhenKept) {
 }
 
 TEST(NetworkSize, FollowsTheShapeOfTheCamera) {
-  const auto chosen = [](int width, int height) {
+  ModelConfig model;
+  model.trained_sizes = {{640, 192}, {384, 288}};
+  const auto chosen = [&](int width, int height) {
     const NetworkSize size =
-        choose_network_size(CameraModel::from_field_of_view(width, height, 60));
+        choose_network_size(model, CameraModel::from_field_of_view(width, height, 60));
     return std::pair(size.width, size.height);
   };
   EXPECT_EQ(chosen(1242, 375), std::pair(640, 192));
@@ -323,14 +325,23 @@ TEST(NetworkSize, FollowsTheShapeOfTheCamera) {
   EXPECT_EQ(chosen(320, 240), std::pair(384, 288));
   EXPECT_EQ(chosen(480, 640), std::pair(288, 384));
   EXPECT_EQ(chosen(1280, 720), std::pair(448, 256));
-  EXPECT_EQ(chosen(500, 500), std::pair(352, 352));
+  EXPECT_EQ(chosen(500, 500), std::pair(320, 320));
+
+  model.trained_sizes[1] = {256, 192};
+  EXPECT_EQ(chosen(1242, 375), std::pair(640, 192));
+  EXPECT_EQ(chosen(640, 480), std::pair(256, 192));
+  EXPECT_EQ(chosen(480, 640), std::pair(192, 256));
+  EXPECT_EQ(chosen(1280, 720), std::pair(288, 160));
+
+  model.trained_sizes.clear();
+  EXPECT_EQ(chosen(640, 480), std::pair(384, 288));
 }
 
 TEST(NetworkSize, IsAlwaysOneTheNetworkAccepts) {
   const ModelConfig config = test::make_config(EncoderKind::kXxs, PresetKind::kLcdm);
   for (const auto& [width, height] : {std::pair(1, 8000), std::pair(8000, 1), std::pair(1, 1)}) {
     const NetworkSize size =
-        choose_network_size(CameraModel::from_field_of_view(width, height, 60));
+        choose_network_size(config, CameraModel::from_field_of_view(width, height, 60));
     EXPECT_TRUE(Network::build(config, size.width, size.height)) << width << "x" << height;
   }
 }

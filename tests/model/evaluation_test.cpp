@@ -159,6 +159,8 @@ TEST(Validate, WithoutAFrameHasNoScore) {
 // The file with LibTorch and in the engine, at the deployed size and at another: the same depth.
 TEST(EngineEstimator, IsFedAsTheFileIs) {
   const std::string path = "model/weights/lcdm-xxs.safetensors";
+  const Result<ModelFile> model = ModelFile::load(path);
+  ASSERT_TRUE(model);
   PackFrame frame;
   frame.rgb = cv::Mat(288, 384, CV_8UC3);
   cv::randu(frame.rgb, 0, 255);
@@ -168,7 +170,7 @@ TEST(EngineEstimator, IsFedAsTheFileIs) {
     const Result<Estimator> engine = engine_estimator(path, Precision::kFloat32, 1, share);
     ASSERT_TRUE(file && engine);
     const cv::Mat depth = (*engine)(frame);
-    ASSERT_EQ(depth.size(), deployed_size(frame.rgb.size(), share));
+    ASSERT_EQ(depth.size(), deployed_size(model->config(), frame.rgb.size(), share));
     ASSERT_EQ(depth.size(), (*file)(frame).size());
     EXPECT_LT(log_distance(depth, (*file)(frame)), 1e-4);
   }

@@ -50,6 +50,27 @@ HWY_INLINE void accumulate_block(D d, const float* a, std::ptrdiff_t row_stride,
   }
 }
 
+// The same for one vector of columns and rows that are the windows of a 3x3 convolution: each
+// begins one pixel of `pixel` words after the one before and is three pixels long. A word is
+// broadcast once for the three windows that see it; the sums are in another order of k, again
+// whatever the tile.
+template <class Operand, int MR, class D>
+HWY_INLINE void accumulate_windows(D d, const float* a, std::ptrdiff_t pixel, const float* b,
+                                   hn::Vec<D> (&acc)[MR][1]) {
+  const std::ptrdiff_t tap = pixel * static_cast<std::ptrdiff_t>(kLanes);
+  for (std::ptrdiff_t k = 0; k < pixel; ++k, b += kLanes) {
+    const hn::Vec<D> w[3] = {hn::LoadU(d, b), hn::LoadU(d, b + tap), hn::LoadU(d, b + 2 * tap)};
+    const float* at = a + k;
+    LCDM_UNROLL for (int column = 0; column < MR + 2; ++column, at += pixel) {
+      const auto x = hn::Set(d, *at);
+      LCDM_UNROLL for (int t = 0; t < 3; ++t) {
+        const int m = column - t;
+        if (m >= 0 && m < MR) acc[m][0] = Operand::dot(d, x, w[t], acc[m][0]);
+      }
+    }
+  }
+}
+
 // The same block by block, where the operand's own sums must stay short.
 template <class Operand, int MR, int NV, class D>
 HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::ptrdiff_t k_stride,
@@ -75,11 +96,36 @@ HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::
   }
 }
 
-// Residual, activation, store: `columns` of the tile's NV vectors are real.
+// Residual, activation, store, where all of the tile's columns are real.
+template <Activation kActivation, bool kRough, int MR, int NV, class D>
+HWY_INLINE void finish_whole(D d, const RowOutput& o, int row, int column,
+                             hn::Vec<D> (&acc)[MR][NV]) {
+  constexpr int kWidth = sizeof(hn::Vec<D>) / sizeof(float);
+  const std::ptrdiff_t at = row * o.stride + column;
+  if (o.residual != nullptr) {
+    const float* residual = o.residual + at;
+    LCDM_UNROLL for (int m = 0; m < MR; ++m, residual += o.stride) {
+      LCDM_UNROLL for (int v = 0; v < NV; ++v) {
+        acc[m][v] = hn::Add(acc[m][v], hn::LoadU(d, residual + v * kWidth));
+      }
+    }
+  }
+  float* to = o.data + at;
+  LCDM_UNROLL for (int m = 0; m < MR; ++m, to += o.stride) {
+    LCDM_UNROLL for (int v = 0; v < NV; ++v) {
+      hn::StoreU(activate<kActivation, kRough>(d, acc[m][v]), d, to + v * kWidth);
+    }
+  }
+}
+
+// The same where `columns` of the tile's NV vectors are real.
 template <Activation kActivation, bool kRough, int MR, int NV, class D>
 HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns,
                        hn::Vec<D> (&acc)[MR][NV]) {
   constexpr std::size_t kWidth = sizeof(hn::Vec<D>) / sizeof(float);
+  if (columns >= NV * static_cast<int>(kWidth)) {
+    return finish_whole<kActivation, kRough>(d, o, row, column, acc);
+  }
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     const std::ptrdiff_t at = (row + m) * o.stride + column;
     LCDM_UNROLL for (int v = 0; v < NV; ++v) {
@@ -146,9 +192,14 @@ template <class Operand, int MR, int NV, class D>
 HWY_INLINE void multiply_run(D d, const Words& a, int row, int r, const Panel& panel,
                              hn::Vec<D> (&acc)[MR][NV]) {
   const RowInput& rows = a.rows;
-  accumulate<Operand, MR, NV>(
-      d, rows.run[r] + row * rows.stride, rows.stride, 1, rows.run_length,
-      panel.words() + static_cast<std::size_t>(r) * rows.run_length * NV * kLanes, acc);
+  const float* run = rows.run[r] + row * rows.stride;
+  const float* words = panel.words() + static_cast<std::size_t>(r) * rows.run_length * NV * kLanes;
+  if constexpr (NV == 1 && Operand::kBlock == 0) {
+    if (rows.are_windows()) {
+      return accumulate_windows<Operand, MR>(d, run, rows.stride, words, acc);
+    }
+  }
+  accumulate<Operand, MR, NV>(d, run, rows.stride, 1, rows.run_length, words, acc);
 }
 
 // acc += scale * the sums of run r, which are in units of its range and of the columns; the first
@@ -212,6 +263,11 @@ HWY_INLINE void panel_rows(D d, const Words& a, const Panel& panel, const RowOut
   constexpr int kRows = tile_rows<NV>();
   const int count = a.rows.rows;
   int row = 0;
+  if constexpr (NV == 1 && kRows == 8 && HWY_TARGET == HWY_AVX3) {  // registers for more
+    if (a.rows.are_windows()) {
+      for (; row + 16 <= count; row += 16) tile<Operand, 16, NV>(d, a, row, panel, o);
+    }
+  }
   for (; row + kRows <= count; row += kRows) tile<Operand, kRows, NV>(d, a, row, panel, o);
   if constexpr (kRows > 4) {
     for (; row + 4 <= count; row += 4) tile<Operand, 4, NV>(d, a, row, panel, o);
@@ -224,15 +280,17 @@ HWY_INLINE void panel_rows(D d, const Words& a, const Panel& panel, const RowOut
 // of the matrix's own operand.
 template <class Operand>
 HWY_INLINE void multiply_block(const Words& a, const PackedMatrix& b, const RowOutput& o) {
-  const int panel_columns = kPanelVectors * static_cast<int>(kLanes);
-  for (int column = 0; column < b.columns; column += panel_columns) {
+  constexpr int kWidth = static_cast<int>(kLanes);
+  int vectors = 0;
+  for (int column = 0; column < b.columns; column += vectors * kWidth) {
     const Panel panel = {b, column};
     const int columns = b.columns - column;
+    vectors = panel_vectors((columns + kWidth - 1) / kWidth);
     const FullTag d;
     const HWY_CAPPED(float, 8) eight;
-    if (columns > 2 * static_cast<int>(kLanes)) {
+    if (vectors == 3) {
       panel_rows<Operand, 3>(d, a, panel, o);
-    } else if (columns > static_cast<int>(kLanes)) {
+    } else if (vectors == 2) {
       panel_rows<Operand, 2>(d, a, panel, o);
     } else if (kLanes > 8 && columns <= 8) {
       panel_rows<Operand, 1>(eight, a, panel, o);  // half a vector costs half

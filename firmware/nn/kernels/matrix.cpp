@@ -166,10 +166,11 @@ float word_of_bits(std::uint32_t bits) { return std::bit_cast<float>(bits); }
 // word(k, n) begins at number k of column n.
 template <typename Word>
 void pack_panels(int depth, int columns, int per_word, std::span<float> out, const Word& word) {
-  const int panel = kPanelVectors * vector_lanes();
+  const int lanes = vector_lanes();
   std::size_t at = 0;
-  for (int first = 0; first < columns; first += panel) {
-    const int width = std::min(panel, padded(columns) - first);
+  int width = 0;
+  for (int first = 0; first < columns; first += width) {
+    width = panel_vectors((padded(columns) - first) / lanes) * lanes;
     for (int k = 0; k < depth; k += per_word) {
       for (int n = first; n < first + width; ++n) out[at++] = n < columns ? word(k, n) : 0.0F;
     }

@@ -11,9 +11,13 @@
 
 namespace lcdm::kernels {
 
-// Columns are cut into panels of kPanelVectors vectors, the last one into as many as it needs.
-// A panel holds for each word of k its columns side by side, padded with zeros to whole vectors.
-inline constexpr int kPanelVectors = 3;
+// Columns are cut into panels of three vectors, the last ones of fewer where that comes out even:
+// a panel of one vector keeps the multipliers least busy. A panel holds for each word of k its
+// columns side by side, padded with zeros to whole vectors.
+constexpr int panel_vectors(int vectors_left) {
+  if (vectors_left == 4) return 2;
+  return vectors_left < 3 ? vectors_left : 3;
+}
 
 // Consecutive k that share 32 bits of a panel, and of a row that meets it.
 constexpr int numbers_per_word(Precision precision) {
@@ -85,6 +89,9 @@ struct RowInput {
   int run_length = 0;
   std::ptrdiff_t stride = 0;
   int rows = 0;
+
+  // Whether the rows are windows of three pixels, each a pixel further: a 3x3 convolution's.
+  bool are_windows() const { return run_length == 3 * stride; }
 };
 
 // What narrow numbers mean: number = low + scale * narrow. Low is 0 but for bytes.
