@@ -66,7 +66,7 @@ std::string find_default_model() {
   const fs::path program = fs::read_symlink("/proc/self/exe", error).parent_path();
   const std::array<fs::path, 2> folders = {program / "../../../model/weights", "/usr/share/lcdm"};
   for (const fs::path& folder : folders) {
-    for (const char* name : {"lcdm-xxs.safetensors", "lcdm-xs.safetensors"}) {
+    for (const char* name : {"lcdm-xs.safetensors", "lcdm-xxs.safetensors"}) {
       const fs::path file = fs::weakly_canonical(folder / name, error);
       if (fs::is_regular_file(file, error)) return file.string();
     }

@@ -8,7 +8,7 @@
 namespace lcdm::model {
 namespace {
 
-// How many pictures of a size make up for one of the largest.
+// How many pictures of a deployed size have the pixels of one of the largest.
 int pictures_for_one(int width, int height) {
   int most = 0;
   for (const auto& [w, h] : kDeployed) most = std::max(most, w * h);

@@ -11,9 +11,6 @@
 namespace lcdm {
 namespace {
 
-constexpr int kWidth = 384;
-constexpr int kHeight = 288;
-
 struct Guard {
   const char* model;  // a released one
   Precision precision;
@@ -26,16 +23,17 @@ std::string name_of(const Guard& guard) {
 void PrintTo(const Guard& guard, std::ostream* out) { *out << name_of(guard); }
 
 std::vector<std::uint8_t> picture_of(std::uint64_t seed, const CameraModel& camera) {
-  std::vector<std::uint8_t> rgb(std::size_t{3} * kWidth * kHeight);
+  std::vector<std::uint8_t> rgb(std::size_t{3} * camera.width * camera.height);
   scene::render(scene::Scene(seed), 1.0, camera, rgb, {});
   return rgb;
 }
 
 std::vector<float> depth_of(Engine& engine, const std::vector<std::uint8_t>& rgb) {
-  std::vector<std::uint16_t> millimetres(std::size_t{1} * kWidth * kHeight);
+  const FrameFormat& format = engine.format();
+  std::vector<std::uint16_t> millimetres(rgb.size() / 3);
   std::vector<float> metres(millimetres.size());
-  const FrameView frame{engine.format(), {}, rgb.data(), rgb.size()};
-  EXPECT_TRUE(engine.run(frame, {kWidth, kHeight, millimetres.data(), metres.data()}));
+  const FrameView frame{format, {}, rgb.data(), rgb.size()};
+  EXPECT_TRUE(engine.run(frame, {format.width, format.height, millimetres.data(), metres.data()}));
   return metres;
 }
 
@@ -51,12 +49,12 @@ double log_difference(const std::vector<float>& a, const std::vector<float>& b) 
 constexpr double kMostGrain = 0.003;
 
 // Mean difference between neighbours in a row of the difference: what one sees as grain.
-double grain(const std::vector<float>& a, const std::vector<float>& b) {
+double grain(const std::vector<float>& a, const std::vector<float>& b, int width) {
   double sum = 0;
   double left = 0;
   for (std::size_t i = 0; i < a.size(); ++i) {
     const double here = std::log(static_cast<double>(a[i]) / static_cast<double>(b[i]));
-    if (i % kWidth != 0) sum += std::fabs(here - left);
+    if (i % static_cast<std::size_t>(width) != 0) sum += std::fabs(here - left);
     left = here;
   }
   return sum / static_cast<double>(a.size());
@@ -69,9 +67,11 @@ TEST_P(Precisions, StayNearFloatWithTheReleasedWeights) {
   const Result<ModelFile> model =
       ModelFile::load(std::string("model/weights/lcdm-") + guard.model + ".safetensors");
   ASSERT_TRUE(model) << model.status().text();
-  const CameraModel camera = CameraModel::from_field_of_view(kWidth, kHeight, 65);
-  const FrameFormat format = {PixelFormat::kRgb24, kWidth, kHeight, 3 * kWidth};
-  EngineOptions options{kWidth, kHeight, 2};
+  // At the size that a 4:3 camera gets.
+  const NetworkSize size = choose_network_size(model->config(), {.width = 640, .height = 480});
+  const CameraModel camera = CameraModel::from_field_of_view(size.width, size.height, 65);
+  const FrameFormat format = {PixelFormat::kRgb24, size.width, size.height, 3 * size.width};
+  EngineOptions options{size.width, size.height, 2};
   const auto exact = Engine::prepare(*model, options, format, camera);
   options.precision = guard.precision;
   const auto narrow = Engine::prepare(*model, options, format, camera);
@@ -90,7 +90,7 @@ TEST_P(Precisions, StayNearFloatWithTheReleasedWeights) {
     EXPECT_GT(difference, 0) << "was it computed otherwise at all?";
     RecordProperty("scene" + std::to_string(seed), std::to_string(difference));
     sum += difference;
-    sum_of_grain += grain(depth, exact_depth);
+    sum_of_grain += grain(depth, exact_depth, size.width);
   }
   EXPECT_LE(sum / kScenes, guard.mean_log_difference);
   EXPECT_LE(sum_of_grain / kScenes, kMostGrain);

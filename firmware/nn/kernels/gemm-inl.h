@@ -263,7 +263,8 @@ HWY_INLINE void panel_rows(D d, const Words& a, const Panel& panel, const RowOut
   constexpr int kRows = tile_rows<NV>();
   const int count = a.rows.rows;
   int row = 0;
-  if constexpr (NV == 1 && kRows == 8 && HWY_TARGET == HWY_AVX3) {  // registers for more
+  // 32 registers: sixteen windows beside their words.
+  if constexpr (NV == 1 && HWY_TARGET == HWY_AVX3) {
     if (a.rows.are_windows()) {
       for (; row + 16 <= count; row += 16) tile<Operand, 16, NV>(d, a, row, panel, o);
     }
