@@ -22,7 +22,7 @@ int scaled_side(int side, double share);
 
 // A part of the training: the size of its pictures and how many make a batch.
 struct Stage {
-  double share = 1;  // of the deployed size
+  double share = 1;          // of the deployed size
   int images = 4;            // of a wide batch; one of smaller pictures has more (make_shapes)
   double until = 1;          // share of the steps at which the next stage begins
   double learning_rate = 0;  // > 0: warm-up and cosine begin again here, from this rate
