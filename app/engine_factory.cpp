@@ -16,7 +16,7 @@ using EnginePtr = std::unique_ptr<Engine>;
 // Both factories' file: that of the start, until the second of them has used it.
 struct Model {
   Config config;
-  ModelConfig network;
+  ModelConfig network;  // the file's
   std::optional<ModelFile> first;
 
   Result<EnginePtr> prepare(const EngineOptions& options, const FrameFormat& format,

@@ -26,10 +26,9 @@ void add_schedule_options(CLI::App& command, RecipeOptions& options) {
       ->capture_default_str();
   command.add_option(
       "--stage", options.stages,
-      "SHARE:IMAGES:UNTIL[:RATE], in order: size of the pictures as a share of the deployed "
-      "one, pictures in a wide batch (4:3: twice as many), and up to which share of the steps; "
-      "with RATE warm-up and cosine "
-      "begin again there, from that learning rate (0.5:8:0.8 1:4:1:5e-4)");
+      "SHARE:IMAGES:UNTIL[:RATE], in order: size of the pictures as a share of the deployed one, "
+      "pictures in a wide batch (4:3: twice as many), and up to which share of the steps; with "
+      "RATE warm-up and cosine begin again there, from that learning rate (0.5:8:0.8 1:4:1:5e-4)");
   command
       .add_option(
           "--head-from", recipe.head_from,

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
-#include <limits>
 #include <utility>
 
 #include "firmware/base/check.h"
@@ -75,16 +74,15 @@ double octaves_between(int width, int height, double aspect) {
   return std::fabs(std::log2(width / aspect / height));
 }
 
+// Pixels of the trained size that is nearest in shape.
 double pixel_budget(const ModelConfig& model, double aspect) {
-  double pixels = 640 * 192;
-  double nearest = std::numeric_limits<double>::infinity();
-  for (const auto& [width, height] : model.trained_sizes) {
-    const double distance = octaves_between(width, height, aspect);
-    if (distance >= nearest) continue;
-    nearest = distance;
-    pixels = static_cast<double>(width) * height;
-  }
-  return pixels;
+  const auto nearest = std::min_element(
+      model.trained_sizes.begin(), model.trained_sizes.end(), [&](const auto& a, const auto& b) {
+        return octaves_between(a[0], a[1], aspect) < octaves_between(b[0], b[1], aspect);
+      });
+  LCDM_CHECK(nearest != model.trained_sizes.end());
+  const auto& [width, height] = *nearest;
+  return static_cast<double>(width) * height;
 }
 
 }  // namespace

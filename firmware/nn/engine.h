@@ -64,9 +64,8 @@ struct NetworkSize {
 };
 
 // Multiples of 32 with a shape near the camera's and about as many pixels as the model's trained
-// size that is nearest in shape (640x192's where the model names none). Of a model for 640x192 and
-// 256x192: 640x192 for KITTI's 1242x375, 256x192 for 640x480, 288x160 for 1280x720. The camera's
-// sides are positive.
+// size that is nearest in shape. Of a model for 640x192 and 256x192: 640x192 for KITTI's 1242x375,
+// 256x192 for 640x480, 288x160 for 1280x720. The camera's sides are positive.
 NetworkSize choose_network_size(const ModelConfig& model, const CameraModel& camera);
 
 // Prepared once, run many times; may be moved between threads between calls, used by one at a time.

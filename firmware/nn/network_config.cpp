@@ -13,6 +13,7 @@ constexpr std::size_t kMaxText = 4096;  // of name, licence and card
 constexpr std::size_t kMaxSamplerSteps = 16;
 constexpr std::size_t kMaxTrainedSizes = 16;
 constexpr int kMaxSide = 4096;
+constexpr int kMaxTrainedPixels = 1 << 20;  // the file says how large a network the device makes
 
 Status bad_key(const char* key, const char* expected) {
   return Status::error(StatusCode::kInvalidInput,
@@ -143,12 +144,17 @@ Status read_scale(const JsonValue& root, ModelConfig& config) {
 
 Status read_trained_sizes(const JsonValue& root, ModelConfig& config) {
   const JsonValue* sizes = root.find("trained_sizes");
-  if (sizes == nullptr || !sizes->is_array() || sizes->items().size() > kMaxTrainedSizes) {
-    return bad_key("trained_sizes", "a short array of [width, height]");
+  if (sizes == nullptr || !sizes->is_array() || sizes->items().empty() ||
+      sizes->items().size() > kMaxTrainedSizes) {
+    return bad_key("trained_sizes", "a short array of [width, height], at least one");
   }
+  config.trained_sizes.clear();
   for (const JsonValue& item : sizes->items()) {
     std::vector<int> size;
     LCDM_RETURN_IF_ERROR(read_ints(&item, "trained_sizes", 1, kMaxSide, 2, 2, size));
+    if (size[0] * size[1] > kMaxTrainedPixels) {
+      return bad_key("trained_sizes", "sizes of 1048576 pixels at most");
+    }
     config.trained_sizes.push_back({size[0], size[1]});
   }
   return Status::ok();

@@ -51,8 +51,8 @@ struct ModelConfig {
   double variable_mean = 0;  // logit = x * variable_std + variable_mean
   double variable_std = 1;
   ScaleKind scale = ScaleKind::kRelative;
-  double canonical_focal = 320;                   // pixels
-  std::vector<std::array<int, 2>> trained_sizes;  // width, height
+  double canonical_focal = 320;                                  // pixels
+  std::vector<std::array<int, 2>> trained_sizes = {{640, 192}};  // width, height; never empty
   std::string licence;
   std::string name;
   std::string card;  // one paragraph: data, steps, metrics

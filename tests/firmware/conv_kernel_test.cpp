@@ -125,19 +125,6 @@ void check_conv(Random& random, const Image& first, Upsampling upsampling, int s
   if (stride == 1 && conv.input_count > 0) check_winograd(conv, whole, filter, skipped);
 }
 
-// Few columns have a tile of their own: 16 windows of three pixels, then 8, 4, 2 and 1.
-TEST(Conv3x3Kernel, ConvolvesWideRowsToFewChannels) {
-  for_each_isa([] {
-    Random random(7);
-    for (const int columns : {1, 8, 16}) {
-      for (const int width : {15, 16, 17, 31, 48}) {
-        check_conv(random, make_image(random, 3, width, 12), Upsampling::kNone, 0, 1,
-                   Padding::kZero, columns);
-      }
-    }
-  });
-}
-
 TEST(Conv3x3Kernel, ConvolvesAnySizeStrideAndPadding) {
   for_each_isa([] {
     Random random(1);
@@ -233,6 +220,27 @@ TEST(Conv3x3Kernel, ConvolvesNarrowNumbers) {
         }
       }
     }
+  });
+}
+
+// Few columns have a tile of their own: 16 windows of three pixels, then 8, 4, 2 and 1.
+TEST(Conv3x3Kernel, ConvolvesWideRowsToFewChannels) {
+  const auto of_every_width = [](const auto& check) {
+    Random random(7);
+    for (const int columns : {1, 8, 16}) {
+      for (const int width : {15, 16, 17, 31, 48}) check(random, width, columns);
+    }
+  };
+  for_each_isa([&] {
+    of_every_width([](Random& random, int width, int columns) {
+      check_conv(random, make_image(random, 3, width, 12), Upsampling::kNone, 0, 1, Padding::kZero,
+                 columns);
+    });
+  });
+  for_each_narrow([&](Precision precision) {
+    of_every_width([precision](Random& random, int width, int columns) {
+      check_narrow_conv(WholeConv(random, 3, width, 12, columns), precision, 1, Padding::kZero);
+    });
   });
 }
 

@@ -332,9 +332,6 @@ TEST(NetworkSize, FollowsTheShapeOfTheCamera) {
   EXPECT_EQ(chosen(640, 480), std::pair(256, 192));
   EXPECT_EQ(chosen(480, 640), std::pair(192, 256));
   EXPECT_EQ(chosen(1280, 720), std::pair(288, 160));
-
-  model.trained_sizes.clear();
-  EXPECT_EQ(chosen(640, 480), std::pair(384, 288));
 }
 
 TEST(NetworkSize, IsAlwaysOneTheNetworkAccepts) {

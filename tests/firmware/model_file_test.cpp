@@ -169,6 +169,8 @@ TEST(ModelFile, NamesTheMetadataKeyThatIsWrong) {
   EXPECT_THAT(with("\"canonical_focal\":320", "\"canonical_focal\":0"),
               HasSubstr("`canonical_focal`"));
   EXPECT_THAT(with("[640,192]", "[640]"), HasSubstr("`trained_sizes`"));
+  EXPECT_THAT(with("[[640,192],[384,288]]", "[]"), HasSubstr("at least one"));
+  EXPECT_THAT(with("[640,192]", "[2048,2048]"), HasSubstr("1048576 pixels"));
   EXPECT_THAT(with("\"licence\"", "\"license\""), HasSubstr("`licence`"));
   EXPECT_THAT(with("\"Apache-2.0\"", "\"\\u001b[2J\""), HasSubstr("control character"));
 }

@@ -268,7 +268,7 @@ TEST(Trainer, GoesThroughItsStagesAndAccumulates) {
   EXPECT_EQ(trainer->share(), 0.2);
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(trainer->advance());
   EXPECT_EQ(trainer->share(), 0.3);
-  EXPECT_EQ(trainer->images(), 2 * (4 + 8) + 2 * (2 + 4)) << "4:3 pictures are less than half";
+  EXPECT_EQ(trainer->images(), 2 * (4 + 8) + 2 * (2 + 4)) << "4:3: twice as many";
 }
 
 // bfloat16 in encoder and decoder: the loss stays close to float's, weights stay float.
