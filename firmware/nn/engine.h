@@ -78,7 +78,7 @@ class Engine {
                                                  const FrameFormat& format,
                                                  const CameraModel& camera);
 
-  // Depth of one frame, into `out` of the network's size; the outermost four pixels repeat those
+  // Depth of one frame, into `out` of the network's size; the outermost seven pixels repeat those
   // inside. The same bytes for the same frame, whatever the number of threads; nothing is
   // allocated. kInvalidInput: the frame is not of the prepared format, is short, or `out` has
   // another size; `out` is then untouched.
