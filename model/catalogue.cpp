@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <toml.hpp>
 
+#include "drivers/scene/textures.h"
 #include "model/scene_pack.h"
 
 namespace lcdm::model {
@@ -143,15 +144,22 @@ Status read_entries(const std::string& file, const toml::value& root, bool train
   return Status::ok();
 }
 
-Status read_rendered(const std::string& file, const toml::value& root, const char* key,
+Status read_rendered(const std::string& file, const toml::value& root, Rendering rendering,
                      RenderedUse& use) {
+  const char* key = rendering == Rendering::kMedley ? "medley" : "scene";
   if (!root.contains(key)) return Status::ok();
   float frames = 0;
+  float photographs = 0;
   Table table(file, root.at(key));
   table.take("frames", frames);
   table.take("wide-share", use.wide_share);
   table.take("tall-share", use.tall_share);
+  if (rendering == Rendering::kMedley) table.take("photographs", photographs);
   LCDM_RETURN_IF_ERROR(table.finish());
+  if (photographs > scene::kMostPhotographs) {
+    return table.fault("\"photographs\" is at most " + std::to_string(scene::kMostPhotographs));
+  }
+  use.photographs = static_cast<int>(photographs);
   use.frames = static_cast<std::size_t>(frames);
   if (use.frames <= kMostRenderedFrames) return Status::ok();
   return table.fault("\"frames\" is at most " + std::to_string(kMostRenderedFrames) +
@@ -162,8 +170,8 @@ Result<Catalogue> catalogue_of(const std::string& file, const toml::value& root)
   Catalogue catalogue;
   LCDM_RETURN_IF_ERROR(read_entries(file, root, true, catalogue.train));
   LCDM_RETURN_IF_ERROR(read_entries(file, root, false, catalogue.test));
-  LCDM_RETURN_IF_ERROR(read_rendered(file, root, "scene", catalogue.scene));
-  LCDM_RETURN_IF_ERROR(read_rendered(file, root, "medley", catalogue.medley));
+  LCDM_RETURN_IF_ERROR(read_rendered(file, root, Rendering::kScene, catalogue.scene));
+  LCDM_RETURN_IF_ERROR(read_rendered(file, root, Rendering::kMedley, catalogue.medley));
   toml::value rest = root;
   for (const char* key : {"train", "test", "scene", "medley"}) rest.as_table().erase(key);
   Table top(file, rest);

@@ -27,6 +27,7 @@ struct RenderedUse {
   std::size_t frames = 0;
   float wide_share = 1;
   float tall_share = 1;
+  int photographs = 0;  // medleys: cut from the training pictures as further paint
 };
 
 struct Catalogue {

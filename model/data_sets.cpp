@@ -10,6 +10,7 @@
 #include "model/kitti_raw.h"
 #include "model/make3d.h"
 #include "model/nyu_depth.h"
+#include "model/photographs.h"
 #include "model/scene_pack.h"
 
 namespace lcdm::model {
@@ -174,6 +175,7 @@ void add_rendered(Data& data, Rendering rendering, const RenderedUse& use) {
   options.train_frames = use.frames;
   options.wide_share = use.wide_share;
   options.tall_share = use.tall_share;
+  options.photographs = use_photographs_of(data.packs, use.photographs);
   add(data, rendered_pack(options), *protocol_named("scene"));
 }
 

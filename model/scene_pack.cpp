@@ -43,9 +43,9 @@ class RenderedFrames final : public Frames {
 };
 
 void fill(Rendering rendering, std::uint64_t seed, std::size_t number, double seconds,
-          scene::Snapshot& out) {
+          int photographs, scene::Snapshot& out) {
   if (rendering == Rendering::kMedley) {
-    return scene::fill_medley(seed * kFramesOfWorld + number, out);
+    return scene::fill_medley(seed * kFramesOfWorld + number, photographs, out);
   }
   scene::Scene(seed).at(seconds, out);
 }
@@ -63,7 +63,10 @@ Result<PackFrame> RenderedFrames::read(std::size_t index) const {
   frame.rgb.create(height, width, CV_8UC3);
   frame.depth.create(height, width, CV_32F);
   const auto snapshot = std::make_unique<scene::Snapshot>();
-  fill(options_.rendering, view.seed, view.number, random.uniform(0, kLongestDrive), *snapshot);
+  // What validates stays as it is, whatever a training adds.
+  const int photographs = index < options_.train_frames ? options_.photographs : 0;
+  fill(options_.rendering, view.seed, view.number, random.uniform(0, kLongestDrive), photographs,
+       *snapshot);
   scene::render(*snapshot, frame.camera, {frame.rgb.ptr<std::uint8_t>(), frame.rgb.total() * 3},
                 {frame.depth.ptr<float>(), frame.depth.total()});
   frame.depth.setTo(kSkyDepth, frame.depth <= 0);

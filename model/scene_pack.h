@@ -16,6 +16,7 @@ struct ScenePackOptions {
   std::size_t train_frames = 400;   // four of each world; each medley gives one
   std::uint64_t validation_seed = 900000;
   std::size_t validation_frames = 40;
+  int photographs = 0;  // that medleys to train on are painted with (photographs.h)
   float wide_share = 1;
   float tall_share = 1;
 };

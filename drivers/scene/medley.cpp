@@ -30,7 +30,8 @@ Vec3 any_colour(Random& random) {
   return mix({grey, grey, grey}, {random.unit(), random.unit(), random.unit()}, vivid);
 }
 
-Paint any_paint(Random& random) {
+// In every second case a photograph, where there are some: surfaces as they really look.
+Paint any_paint(Random& random, const Snapshot& out) {
   static constexpr std::array<Texture, 12> kTexturesOfThings{
       Texture::kPlain,   Texture::kPlain, Texture::kPlaster,  Texture::kBrick,
       Texture::kPlanks,  Texture::kWeave, Texture::kConcrete, Texture::kTiles,
@@ -38,6 +39,10 @@ Paint any_paint(Random& random) {
   const Vec3 light = any_colour(random);
   const Vec3 dark = random.chance(0.25F) ? any_colour(random) : light * random.between(0.5F, 0.95F);
   const auto texture = kTexturesOfThings[static_cast<std::size_t>(random.below(12))];
+  if (out.photographs > 0 && random.chance(0.5F)) {
+    const Vec3 shade = light * random.between(0.05F, 0.6F);
+    return {photograph(random.below(out.photographs)), shade, light, spread(random, 0.3F, 4)};
+  }
   return {texture, dark, light, spread(random, 0.4F, 3)};
 }
 
@@ -53,8 +58,8 @@ void add_barrel(Random& random, const Place& place, Snapshot& out) {
   const float reach = radius + spread(random, 0.1F, 1.2F);
   const bool lying = random.chance(0.35F);
   out.add(lying ? rod(place.at(-reach, radius, 0), place.at(reach, radius, 0), radius,
-                      any_paint(random))
-                : rod(place.at(0, 0, 0), place.at(0, reach, 0), radius, any_paint(random)));
+                      any_paint(random, out))
+                : rod(place.at(0, 0, 0), place.at(0, reach, 0), radius, any_paint(random, out)));
 }
 
 // Wires and tubes across the ground or through the air.
@@ -63,17 +68,17 @@ void add_wire(Random& random, const Place& place, float height, Snapshot& out) {
   const float low = random.chance(0.6F) ? 0.02F : random.between(0, height);
   const float high = random.chance(0.6F) ? low : random.between(0, height);
   out.add(rod(place.at(-reach, low, 0), place.at(reach, high, random.between(-1, 1)),
-              spread(random, 0.006F, 0.04F), any_paint(random)));
+              spread(random, 0.006F, 0.04F), any_paint(random, out)));
 }
 
 void add_partition(Random& random, const Place& place, float height, Snapshot& out) {
   const Vec3 half{random.between(0.2F, 1.6F), random.between(0.2F, 0.5F) * height,
                   random.between(0.02F, 0.15F)};
-  out.add(box(place.at(0, half.y, 0), half, place.yaw, any_paint(random)));
+  out.add(box(place.at(0, half.y, 0), half, place.yaw, any_paint(random, out)));
 }
 
 void add_steps(Random& random, const Place& place, Snapshot& out) {
-  const Paint stone = any_paint(random);
+  const Paint stone = any_paint(random, out);
   const float rise = random.between(0.1F, 0.2F);
   const float width = random.between(0.3F, 1.2F);
   const int count = 2 + random.below(5);
@@ -88,13 +93,13 @@ void add_steps(Random& random, const Place& place, Snapshot& out) {
 void add_mat(Random& random, const Place& place, Snapshot& out) {
   out.add(shadowless(box({place.x, -0.004F, place.z},
                          {random.between(0.2F, 1.5F), 0.006F, random.between(0.2F, 1.5F)},
-                         place.yaw, any_paint(random))));
+                         place.yaw, any_paint(random, out))));
 }
 
 void add_ball(Random& random, const Place& place, Snapshot& out) {
   const float radius = spread(random, 0.04F, 0.5F);
   const float up = random.chance(0.8F) ? radius : random.between(radius, 2);
-  out.add(sphere(place.at(0, up, 0), radius, any_paint(random)));
+  out.add(sphere(place.at(0, up, 0), radius, any_paint(random, out)));
 }
 
 // What is found under a roof and outside.
@@ -119,7 +124,7 @@ void add_any_thing(Random& random, const Place& place, float height, Snapshot& o
                                  : add_steps(random, place, out);
     default:
       out.add(hoop(place.at(0, random.between(0.4F, 1.4F), 0), random.between(0.2F, 0.6F),
-                   random.between(0.015F, 0.06F), place.yaw, any_paint(random)));
+                   random.between(0.015F, 0.06F), place.yaw, any_paint(random, out)));
   }
 }
 
@@ -140,7 +145,7 @@ void add_outdoor_thing(Random& random, const Place& place, Snapshot& out) {
     case 5:
       return random.chance(0.5F) ? add_bush(out, random, place) : add_bench(out, place);
     case 6:
-      return add_fence(out, place, random.between(3, 14), any_paint(random));
+      return add_fence(out, place, random.between(3, 14), any_paint(random, out));
     case 7:
       return random.chance(0.5F) ? add_lamp_post(out, place) : add_sign(out, random, place);
     case 8:
@@ -218,10 +223,15 @@ Yard make_room(Random& random, Snapshot& out) {
   static constexpr std::array<Texture, 5> kFloors{
       Texture::kPlanks, Texture::kTiles, Texture::kConcrete, Texture::kWeave, Texture::kPlain};
   out.floor = kFloors[static_cast<std::size_t>(random.below(5))];
+  if (out.photographs > 0 && random.chance(0.4F)) {
+    out.floor = photograph(random.below(out.photographs));
+  }
   std::array<Paint, 4> walls;
   walls.fill(paint(Texture::kPlaster, any_colour(random), 0.9F));
   for (Paint& wall : walls) {
-    if (random.chance(0.25F)) wall = any_paint(random);
+    if (random.chance(0.25F) || (out.photographs > 0 && random.chance(0.3F))) {
+      wall = any_paint(random, out);
+    }
   }
   add_walls(walls, out);
   const Yard yard{out.room.x - 0.3F, out.room.z - 0.3F};
@@ -290,7 +300,7 @@ void add_boxes(Random& random, const Place& place, Snapshot& out) {
   const int storeys = 1 + (random.chance(0.3F) ? random.below(3) : 0);
   for (int i = 0; i < storeys; ++i) {
     out.add(box(place.at(0, top + half.y, 0), half, place.yaw + random.between(-0.3F, 0.3F),
-                any_paint(random)));
+                any_paint(random, out)));
     top += 2 * half.y;
     half = half * random.between(0.5F, 1);
   }
@@ -323,11 +333,12 @@ bool is_free(const Snapshot& snapshot, Vec3 point, float distance) {
                      [&](const Primitive& p) { return clearance(p, point) > distance; });
 }
 
-void fill_medley(std::uint64_t seed, Snapshot& out) {
+void fill_medley(std::uint64_t seed, int photographs, Snapshot& out) {
   Random shell(seed, kShell, 0);
   Random things(seed, kThings, 0);
   Random eye(seed, kEye, 0);
   out.count = 0;
+  out.photographs = photographs;
   out.origin_z = 0;
   out.centre_line.fill(0);
   out.haze_colour = {0.8F, 0.8F, 0.8F};

@@ -13,8 +13,9 @@ void fill_park(std::uint64_t seed, double seconds, Snapshot& out);
 void fill_room(std::uint64_t seed, double seconds, Snapshot& out);
 
 // Things of every kind anywhere, indoors or out, seen from anywhere, not moving: for training, so
-// that a network cannot guess depth from where things usually stand in a picture.
-void fill_medley(std::uint64_t seed, Snapshot& out);
+// that a network cannot guess depth from where things usually stand in a picture. Painted with the
+// first `photographs` of textures() too.
+void fill_medley(std::uint64_t seed, int photographs, Snapshot& out);
 
 // A box or a few on top of each other.
 void add_boxes(Random& random, const Place& place, Snapshot& out);

@@ -13,6 +13,7 @@ Scene::Scene(std::uint64_t seed) : seed_(seed) {
 
 void Scene::at(double seconds, Snapshot& out) const {
   out.count = 0;
+  out.photographs = 0;
   const double time = std::max(0.0, seconds);
   switch (kind_) {
     case Kind::kStreet:

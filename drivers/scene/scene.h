@@ -35,6 +35,8 @@ enum class Texture : std::uint8_t {
   kStripes,
 };
 constexpr int kTextures = 15;
+// Texture number `index` of the photographs in textures.h.
+constexpr Texture photograph(int index) { return static_cast<Texture>(kTextures + index); }
 
 struct Primitive {
   Shape shape = Shape::kSphere;
@@ -69,6 +71,7 @@ struct Snapshot {
   Vec3 eye;
   double origin_z = 0;
 
+  int photographs = 0;  // of textures.h, that paint may be taken from
   Ground ground = Ground::kStreet;
   Texture floor = Texture::kPlanks;
   Vec3 ground_dark;

@@ -248,23 +248,44 @@ constexpr std::array<float, kTextures> kTilesPerMetre{1.0F,  0.25F, 1.0F,     1 
                                                       0.25F, 0.25F, 1 / 1.6F, 1 / 1.2F, 1 / 12.0F,
                                                       0.5F,  0.25F, 1.0F,     1.0F,     1.25F};
 
+constexpr float kPhotographsPerMetre = 1;
+
 }  // namespace
 
 TextureSet::TextureSet() : texels_(kTexels * kTextures) {
-  for (int i = 0; i < kTextures; ++i) make(static_cast<Texture>(i));
-}
-
-void TextureSet::make(Texture texture) {
-  Texel* level = texels_.data() + static_cast<std::size_t>(texture) * kTexels;
-  for (int y = 0; y < kSide; ++y) {
-    for (int x = 0; x < kSide; ++x) {
+  for (int i = 0; i < kTextures; ++i) {
+    const auto texture = static_cast<Texture>(i);
+    make(texture, [texture](int x, int y) {
       constexpr float kStep = 1.0F / kSide;
       const TextureSample s = pattern(texture, (static_cast<float>(x) + 0.5F) * kStep,
                                       (static_cast<float>(y) + 0.5F) * kStep);
       const auto mixed = static_cast<Texel>(std::lround(std::clamp(s.mix, 0.0F, 1.0F) * 255));
       const auto bright = static_cast<Texel>(std::lround(std::clamp(s.bright, 0.0F, 1.99F) * 128));
-      level[static_cast<std::size_t>(y) * kSide + static_cast<std::size_t>(x)] = mixed | bright
-                                                                                             << 16;
+      return mixed | bright << 16;
+    });
+  }
+}
+
+void TextureSet::set_photographs(std::span<const Photograph> photographs) {
+  static_assert(kSide == 2 * Photograph::kSide);
+  const std::size_t count = std::min<std::size_t>(photographs.size(), kMostPhotographs);
+  texels_.resize(kTexels * (kTextures + count));
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto mirrored = [](int at) { return std::min(at, kSide - 1 - at); };
+    make(photograph(static_cast<int>(i)), [&](int x, int y) {
+      const int at = mirrored(y) * Photograph::kSide + mirrored(x);
+      return photographs[i].grey[static_cast<std::size_t>(at)] | Texel{128} << 16;
+    });
+  }
+}
+
+// The widest level of what `texel_at`(column, row) says, and the others of it.
+template <typename TexelAt>
+void TextureSet::make(Texture texture, const TexelAt& texel_at) {
+  Texel* level = texels_.data() + static_cast<std::size_t>(texture) * kTexels;
+  for (int y = 0; y < kSide; ++y) {
+    for (int x = 0; x < kSide; ++x) {
+      level[static_cast<std::size_t>(y) * kSide + static_cast<std::size_t>(x)] = texel_at(x, y);
     }
   }
   for (std::size_t side = kSide / 2; side >= 1; side /= 2) {
@@ -281,12 +302,21 @@ void TextureSet::make(Texture texture) {
 }
 
 float TextureSet::tiles_per_metre(Texture texture) {
-  return kTilesPerMetre[static_cast<std::size_t>(texture)];
+  const auto index = static_cast<std::size_t>(texture);
+  return index < kTilesPerMetre.size() ? kTilesPerMetre[index] : kPhotographsPerMetre / 2;
 }
 
-const TextureSet& textures() {
-  static const TextureSet set;
+namespace {
+TextureSet& the_set() {
+  static TextureSet set;
   return set;
+}
+}  // namespace
+
+const TextureSet& textures() { return the_set(); }
+
+void use_photographs(std::span<const Photograph> photographs) {
+  the_set().set_photographs(photographs);
 }
 
 }  // namespace lcdm::scene

@@ -72,6 +72,8 @@ TEST_F(CatalogueTest, FaultsNameLineAndCure) {
   expect_fault("[[train]]\npath = \"a\"", ":1: no wide-share or tall-share");
   expect_fault("[medley]\nframes = -1", "frames must be a number, 0 or more");
   expect_fault("[medley]\nframes = 1e8", "more would show the worlds that validate");
+  expect_fault("[medley]\nphotographs = 241", "\"photographs\" is at most 240");
+  expect_fault("[scene]\nphotographs = 3", "no key \"photographs\"");
   expect_fault("[train]\npath = \"a\"", "write [[train]]");
   expect_fault("[[train]\n", "catalogue.toml");
   EXPECT_EQ(read_catalogue("no/such.toml").code(), StatusCode::kInvalidInput);
