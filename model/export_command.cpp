@@ -12,7 +12,7 @@ namespace lcdm::model {
 namespace {
 
 struct Options {
-  std::string checkpoint;
+  std::vector<std::string> checkpoints;
   std::string model;
   std::string output;
   std::string onnx;
@@ -24,11 +24,15 @@ struct Options {
   std::string licence;  // instead of the checkpoint's
 };
 
-// The checkpoint's weights as the device's model file.
+// The checkpoints' weights, or their mean, as the device's model file.
 Status write_model(const Options& options) {
-  Result<DepthNetwork> network = load_checkpoint(options.checkpoint);
-  if (!network) return network.status();
-  ModelConfig& config = (*network)->config;
+  std::vector<DepthNetwork> networks;
+  for (const std::string& path : options.checkpoints) {
+    Result<DepthNetwork> network = load_checkpoint(path);
+    if (!network) return network.status();
+    networks.push_back(*network);
+  }
+  ModelConfig& config = networks[0]->config;
   config.name = options.name;
   if (!options.licence.empty()) config.licence = options.licence;
   if (config.licence.empty()) {
@@ -38,7 +42,7 @@ Status write_model(const Options& options) {
   }
   config.card = options.card;
   config.start = options.start.value_or(config.start);
-  LCDM_RETURN_IF_ERROR(export_network(*network, options.output));
+  LCDM_RETURN_IF_ERROR(export_mean(networks, options.output));
   const Result<ModelFile> check = ModelFile::load(options.output);
   if (!check) return check.status();
   std::printf("%s: %zu tensors, %zu bytes\n", options.output.c_str(), check->tensors().size(),
@@ -47,7 +51,7 @@ Status write_model(const Options& options) {
 }
 
 Status run(const Options& options) {
-  if (!options.checkpoint.empty()) {
+  if (!options.checkpoints.empty()) {
     if (options.output.empty() || options.name.empty() || options.card.empty()) {
       return Status::error(StatusCode::kUsage,
                            "a checkpoint becomes a model file with --output, --name and --card");
@@ -70,7 +74,10 @@ void add_export(CLI::App& app, Status& status) {
   auto* command = app.add_subcommand(
       "export", "Writes a checkpoint's weights for the device, or a model file as ONNX");
   auto options = std::make_shared<Options>();
-  auto* checkpoint = command->add_option("--checkpoint", options->checkpoint, "Training checkpoint")
+  auto* checkpoint = command
+                         ->add_option("--checkpoint", options->checkpoints,
+                                      "Training checkpoint; of several the mean, with the licence "
+                                      "of the first")
                          ->check(CLI::ExistingFile);
   command->add_option("--model", options->model, "Model file, where there is no checkpoint")
       ->check(CLI::ExistingFile)

@@ -58,6 +58,12 @@ void fold_head(const Head& head, const ModelConfig& config, Tensors& out) {
   put_conv(head->conv2, "head.conv2", out);
 }
 
+bool compute_alike(const ModelConfig& a, const ModelConfig& b) {
+  return a.encoder == b.encoder && a.preset == b.preset && a.decoder_widths == b.decoder_widths &&
+         a.condition_channels == b.condition_channels && a.steps == b.steps &&
+         a.variable_mean == b.variable_mean && a.variable_std == b.variable_std;
+}
+
 }  // namespace
 
 Tensors fold_network(const DepthNetwork& network) {
@@ -77,11 +83,25 @@ Tensors fold_network(const DepthNetwork& network) {
 }
 
 Status export_network(const DepthNetwork& network, const std::string& path) {
-  const Result<std::string> config = config_json(network->config);
+  return export_mean({network}, path);
+}
+
+Status export_mean(const std::vector<DepthNetwork>& networks, const std::string& path) {
+  if (networks.empty()) return Status::error(StatusCode::kInvalidInput, "no network to export");
+  const Result<std::string> config = config_json(networks[0]->config);
   if (!config) return config.status();
-  TensorFile file{fold_network(network), {{"lcdm", *config}}};
+  TensorFile file{fold_network(networks[0]), {{"lcdm", *config}}};
+  for (std::size_t i = 1; i < networks.size(); ++i) {
+    if (!compute_alike(networks[0]->config, networks[i]->config)) {
+      return Status::error(StatusCode::kInvalidInput,
+                           "checkpoints %zu and 1 have different networks or diffusion variables: "
+                           "only states of one training can be averaged",
+                           i + 1);
+    }
+    for (const auto& [name, tensor] : fold_network(networks[i])) file.tensors.at(name) += tensor;
+  }
   for (auto& [name, tensor] : file.tensors) {
-    tensor = tensor.to(torch::kFloat16).contiguous();
+    tensor = (tensor / static_cast<double>(networks.size())).to(torch::kFloat16).contiguous();
     if (!torch::isfinite(tensor).all().item<bool>()) {
       return Status::error(StatusCode::kInvalidInput, "%s does not fit into half precision",
                            name.c_str());

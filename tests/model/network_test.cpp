@@ -3,11 +3,13 @@
 
 #include <cmath>
 #include <gtest/gtest.h>
+#include <vector>
 
 #include "model/depth_code.h"
 #include "model/direct_fit.h"
 #include "model/exporter.h"
 #include "model/folded_net.h"
+#include "model/safetensors.h"
 #include "model/unfolder.h"
 #include "tests/support/temporary_folder.h"
 
@@ -153,6 +155,43 @@ TEST(ExportedTexts, ThatTheDeviceWouldRefuseAreRefusedAndTheOldFileStays) {
   EXPECT_FALSE(refused);
   EXPECT_NE(std::string(refused.text()).find("`card`"), std::string::npos) << refused.text();
   EXPECT_TRUE(ModelFile::load(path));
+}
+
+TEST_P(Export, OfSeveralNetworksIsTheMeanOfTheirWeights) {
+  std::vector<DepthNetwork> networks;
+  for (const std::uint64_t seed : {5U, 6U}) {
+    torch::manual_seed(seed);
+    networks.emplace_back(config_of(EncoderKind::kXxs, GetParam()));
+    networks.back()->config.licence = "none";
+    shake_norms(networks.back());
+    networks.back()->eval();
+  }
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("model.safetensors");
+  ASSERT_TRUE(export_mean(networks, path));
+  const auto a = fold_network(networks[0]);
+  const auto b = fold_network(networks[1]);
+  const Result<TensorFile> file = read_tensors(path);
+  ASSERT_TRUE(file) << file.status().text();
+  ASSERT_EQ(file->tensors.size(), a.size());
+  for (const auto& [name, mean] : file->tensors) {
+    const torch::Tensor expected = (a.at(name) + b.at(name)) / 2;
+    EXPECT_TRUE(torch::allclose(mean.to(torch::kFloat32), expected, 1e-3, 1e-6)) << name;
+  }
+}
+
+TEST(ExportedMeans, AreOfNetworksThatComputeAlike) {
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("model.safetensors");
+  const DepthNetwork one(config_of(EncoderKind::kXxs, PresetKind::kLcdm));
+  ModelConfig config = one->config;
+  config.variable_mean = 1;
+  for (const ModelConfig& other : {config, config_of(EncoderKind::kXs, PresetKind::kLcdm)}) {
+    const Status status = export_mean({one, DepthNetwork(other)}, path);
+    EXPECT_EQ(status.code(), StatusCode::kInvalidInput);
+    EXPECT_NE(std::string(status.text()).find("averaged"), std::string::npos) << status.text();
+  }
+  EXPECT_EQ(export_mean({}, path).code(), StatusCode::kInvalidInput);
 }
 
 // A model file that was unfolded and folded again is the same file, to rounding.
