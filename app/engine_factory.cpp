@@ -16,14 +16,15 @@ using EnginePtr = std::unique_ptr<Engine>;
 // Both factories' file: that of the start, until the second of them has used it.
 struct Model {
   Config config;
-  ModelConfig network;  // the file's
+  ModelConfig network;  // the file's when it was last read
   std::optional<ModelFile> first;
 
   Result<EnginePtr> prepare(const EngineOptions& options, const FrameFormat& format,
-                            const CameraModel& camera, const Pipeline::Alive& alive) const {
+                            const CameraModel& camera, const Pipeline::Alive& alive) {
     if (first) return Engine::prepare(*first, options, format, camera);
     const Result<ModelFile> file = load_model(config);
     if (!file) return file.status();
+    network = file->config();
     alive();
     return Engine::prepare(*file, options, format, camera);
   }

@@ -38,20 +38,26 @@ void print_networks(const ModelConfig& config, const Recipe& recipe) {
   }
 }
 
-// Seconds of a step of `recipe`, both shapes alike: of the second pair, when everything is there.
-Result<double> seconds_of_step(const Recipe& recipe, const std::vector<Pack>& packs,
-                               const Compute& compute) {
+struct StepCost {
+  double seconds = 0;
+  double pictures = 0;
+};
+
+// Of a step of `recipe`, both shapes alike: time of the second pair, when everything is there.
+Result<StepCost> cost_of_step(const Recipe& recipe, const std::vector<Pack>& packs,
+                              const Compute& compute) {
   const auto trainer = Trainer::make(recipe, packs, compute);
   if (!trainer) return trainer.status();
+  constexpr int kSteps = 4;
   double seconds = 0;
-  for (int i = 0; i < 4; ++i) {
+  for (int i = 0; i < kSteps; ++i) {
     const auto begin = std::chrono::steady_clock::now();
     const Result<Losses> losses = (*trainer)->advance();
     if (!losses) return losses.status();
     if (i < 2) continue;
     seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count() / 2;
   }
-  return seconds;
+  return StepCost{seconds, static_cast<double>((*trainer)->images()) / kSteps};
 }
 
 // The shares of the steps at which something changes, 0 and 1 included.
@@ -65,7 +71,7 @@ std::vector<double> borders_of(const Recipe& recipe) {
 
 Status dry_run(const Recipe& recipe, const std::vector<Pack>& packs, const Compute& compute) {
   double hours = 0;
-  std::int64_t images = 0;
+  double pictures = 0;
   const std::vector<double> borders = borders_of(recipe);
   for (std::size_t i = 0; i + 1 < borders.size(); ++i) {
     Recipe part = recipe;
@@ -74,20 +80,18 @@ Status dry_run(const Recipe& recipe, const std::vector<Pack>& packs, const Compu
     part.stages = {recipe.stages[stage]};
     part.head_from = borders[i] >= recipe.head_from ? 0 : 1;
     part.steps = 1000;  // not to be reached
-    const Result<double> seconds = seconds_of_step(part, packs, compute);
-    if (!seconds) return seconds.status();
+    const Result<StepCost> cost = cost_of_step(part, packs, compute);
+    if (!cost) return cost.status();
     const double steps = (borders[i + 1] - borders[i]) * static_cast<double>(recipe.steps);
-    const int batch = recipe.stages[stage].images * recipe.accumulate * compute.processes->size();
-    std::printf("%5.0f steps     %.2f s each: size x %.2f, %d pictures, %s\n", steps, *seconds,
-                recipe.stages[stage].share, batch,
+    std::printf("%5.0f steps     %.2f s each: size x %.2f, %g pictures, %s\n", steps, cost->seconds,
+                recipe.stages[stage].share, cost->pictures,
                 part.head_from > 0 ? "without the head" : "with the head");
-    hours += steps * *seconds / 3600;
-    images += static_cast<std::int64_t>(steps) * batch;
+    hours += steps * cost->seconds / 3600;
+    pictures += steps * cost->pictures;
   }
   print_networks(model_config_of(recipe), recipe);
   std::printf("memory         %.2f GB at the most so far, the packs included\n", peak_gigabytes());
-  std::printf("expected time  %.1f hours for %lld pictures\n", hours,
-              static_cast<long long>(images));
+  std::printf("expected time  %.1f hours for %.0f pictures\n", hours, pictures);
   return Status::ok();
 }
 

@@ -141,7 +141,7 @@ Result<Estimator> engine_estimator(const std::string& path, Precision precision,
   Result<ModelFile> file = ModelFile::load(path);
   if (!file) return file.status();
   const auto engines = std::make_shared<Engines>(std::move(*file), precision, threads);
-  // Both now, so that none is missing when frames ask for it.
+  // Now, so that what the file or the processor cannot do is said before any frame.
   for (const auto& [width, height] : engines->config().trained_sizes) {
     const cv::Size size = deployed_size(engines->config(), {width, height}, share);
     const Result<Engine*> engine = engines->of_size(size);

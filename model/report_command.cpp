@@ -104,7 +104,8 @@ Status add_costs(HtmlPage& page, const Options& options) {
     const Result<ModelFile> file = ModelFile::load(path);
     if (!file) return file.status();
     for (const auto& [width, height] : file->config().trained_sizes) {
-      const auto row = cost_of(fs::path(path).stem().string(), *file, width, height);
+      const cv::Size size = deployed_size(file->config(), {width, height});
+      const auto row = cost_of(fs::path(path).stem().string(), *file, size.width, size.height);
       if (!row) return row.status();
       rows.push_back(*row);
     }

@@ -382,8 +382,10 @@ Status Trainer::resume(const std::string& path) {
     return Status::error(StatusCode::kInvalidInput, "%s is not a training checkpoint",
                          path.c_str());
   }
-  const Result<ModelConfig> config = parse_model_config(text->second);
+  Result<ModelConfig> config = parse_model_config(text->second);
   if (!config) return config.status();
+  // Those of the batches to come: an older program may have trained at others.
+  config->trained_sizes = networks_->depth->config.trained_sizes;
   if (config->encoder != recipe_.encoder || config->preset != recipe_.preset ||
       !restore(*networks_, "network.", tensors) || !restore(*average_, "average.", tensors) ||
       !optimizer_->load(tensors)) {

@@ -269,7 +269,8 @@ TextureSet::TextureSet() : texels_(kTexels * kTextures) {
 void TextureSet::set_photographs(std::span<const Photograph> photographs) {
   static_assert(kSide == 2 * Photograph::kSide);
   const std::size_t count = std::min<std::size_t>(photographs.size(), kMostPhotographs);
-  texels_.resize(kTexels * (kTextures + count));
+  // Never fewer tiles: an older snapshot may still name the others.
+  texels_.resize(std::max(texels_.size(), kTexels * (kTextures + count)));
   for (std::size_t i = 0; i < count; ++i) {
     const auto mirrored = [](int at) { return std::min(at, kSide - 1 - at); };
     make(photograph(static_cast<int>(i)), [&](int x, int y) {

@@ -32,7 +32,7 @@ class TextureSet {
   TextureSet();
 
   // Photographs as further textures, mirrored at their sides so that they repeat without a seam;
-  // at most kMostPhotographs. They take the place of those there were.
+  // at most kMostPhotographs. They take the place of the first of those there were.
   void set_photographs(std::span<const Photograph> photographs);
 
   // The pattern's levels one after another, the widest first, each [row][column].

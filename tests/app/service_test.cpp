@@ -144,7 +144,8 @@ TEST_F(ServiceTest, PowerOffIsAskedForByAFile) {
 }
 
 TEST(SmallerNetwork, HasAboutHalfThePixelsInTheSameShape) {
-  for (const NetworkSize full : {NetworkSize{384, 288}, {640, 192}, {448, 256}, {640, 480}}) {
+  for (const NetworkSize full :
+       {NetworkSize{384, 288}, {640, 192}, {256, 192}, {288, 160}, {448, 256}, {640, 480}}) {
     const NetworkSize small = smaller_size(full);
     const double pixels = 1.0 * small.width * small.height / (full.width * full.height);
     const double shape = 1.0 * small.width / small.height * full.height / full.width;

@@ -244,13 +244,14 @@ TEST(Conv3x3Kernel, ConvolvesWideRowsToFewChannels) {
   });
 }
 
+// 18 pixels: a tile of sixteen windows, and what is left.
 TEST(Conv3x3Kernel, AddsAnUpsampledShareOfNarrowNumbers) {
   for_each_narrow([](Precision precision) {
     SCOPED_TRACE(to_string(precision));
     Random random(10);
     for (const int columns : {8, 16, 23}) {
-      Image low = make_image(random, 4, 7, 20);
-      Image second = make_image(random, 8, 14, 12);
+      Image low = make_image(random, 4, 9, 20);
+      Image second = make_image(random, 8, 18, 12);
       make_whole(random, low);
       make_whole(random, second);
       const Image whole = joined(upsampled(low, Upsampling::kBilinear), second);
@@ -260,12 +261,12 @@ TEST(Conv3x3Kernel, AddsAnUpsampledShareOfNarrowNumbers) {
       const auto second_values = to_floats(second.values);
       std::vector<float> taps_store;
       std::vector<float> store;
-      std::vector<float> out(static_cast<std::size_t>(8 * 14 * columns));
+      std::vector<float> out(static_cast<std::size_t>(8 * 18 * columns));
       Conv3x3 conv;
-      conv.upsampled = {low_values.data(), 4, 7, 20, taps_of(filter, 20, taps_store, precision)};
+      conv.upsampled = {low_values.data(), 4, 9, 20, taps_of(filter, 20, taps_store, precision)};
       conv.inputs[0] = as_input(second, second_values, Upsampling::kNone);
       conv.height = 8;
-      conv.width = 14;
+      conv.width = 18;
       conv.channels = 12;
       conv.weights = without(filter, 20, store, precision);
       conv.output = out.data();

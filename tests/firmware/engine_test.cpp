@@ -335,11 +335,14 @@ TEST(NetworkSize, FollowsTheShapeOfTheCamera) {
 }
 
 TEST(NetworkSize, IsAlwaysOneTheNetworkAccepts) {
-  const ModelConfig config = test::make_config(EncoderKind::kXxs, PresetKind::kLcdm);
-  for (const auto& [width, height] : {std::pair(1, 8000), std::pair(8000, 1), std::pair(1, 1)}) {
-    const NetworkSize size =
-        choose_network_size(config, CameraModel::from_field_of_view(width, height, 60));
-    EXPECT_TRUE(Network::build(config, size.width, size.height)) << width << "x" << height;
+  ModelConfig config = test::make_config(EncoderKind::kXxs, PresetKind::kLcdm);
+  for (const auto& trained : {std::array{640, 192}, {1, 1}, {4096, 256}}) {
+    config.trained_sizes = {trained};
+    for (const auto& [width, height] : {std::pair(1, 8000), std::pair(8000, 1), std::pair(1, 1)}) {
+      const NetworkSize size =
+          choose_network_size(config, CameraModel::from_field_of_view(width, height, 60));
+      EXPECT_TRUE(Network::build(config, size.width, size.height)) << width << "x" << height;
+    }
   }
 }
 

@@ -133,6 +133,24 @@ TEST(Trainer, ResumesBitExactlyWhenTheyAreFrozen) {
 }
 TEST(Trainer, ResumesBitExactlyWithMuon) { expect_exact_resume(1, OptimizerKind::kMuon); }
 
+// A checkpoint of an older program names the sizes of then.
+TEST(Trainer, ResumesWithTheSizesItTrainsAtFromNowOn) {
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("checkpoint.safetensors");
+  const auto trainer = trainer_of(small_recipe());
+  const auto sizes = trainer->config().trained_sizes;
+  ASSERT_TRUE(trainer->save(path));
+  Result<TensorFile> file = read_tensors(path);
+  ASSERT_TRUE(file) << file.status().text();
+  std::string& text = file->metadata["lcdm"];
+  const std::string today = "[256, 192]";
+  ASSERT_NE(text.find(today), std::string::npos) << text;
+  text.replace(text.find(today), today.size(), "[384, 288]");
+  ASSERT_TRUE(write_tensors(path, *file));
+  ASSERT_TRUE(trainer->resume(path));
+  EXPECT_EQ(trainer->config().trained_sizes, sizes);
+}
+
 // Frozen at mean 0 and deviation 1 they would normalise nothing for the rest of the run.
 TEST(Trainer, MeasuresAHeadThatJoinsAfterStatisticsAreFrozen) {
   Recipe recipe = small_recipe();
