@@ -68,13 +68,15 @@ class Cases {
       conv3x3(precision);
       upsampled_conv3x3(precision);
       if (precision != Precision::kInt8) attention(precision);
+      if (kernels::head_precision(precision, kHeadChannels) == precision) {
+        head(precision, true);
+        head(precision, false);
+      }
     }
     stem();
     winograd();
     layer_norm();
     group_norm();
-    head(true);
-    head(false);
     depth();
     unfold();
     resize();
@@ -84,6 +86,8 @@ class Cases {
   }
 
  private:
+  static constexpr int kHeadChannels = 16;
+
   // Memory of changing small values of either sign.
   std::span<float> floats(double count) {
     const auto size = static_cast<std::size_t>(count);
@@ -98,6 +102,11 @@ class Cases {
     return *piece;
   }
   float* values(double count) { return floats(count).data(); }
+  const float* stored(const std::vector<float>& numbers) {
+    const std::span<float> piece = floats(static_cast<double>(numbers.size()));
+    if (piece.size() == numbers.size()) std::copy(numbers.begin(), numbers.end(), piece.begin());
+    return piece.data();
+  }
 
   PackedMatrix pack(int depth, int columns, Precision precision = Precision::kFloat32,
                     int runs = 1) {
@@ -263,32 +272,31 @@ class Cases {
   }
 
   // The first of two steps that start from zeros has no state to convolve.
-  void head(bool has_state) {
+  void head(Precision precision, bool has_state) {
     kernels::HeadUpdate update;
+    update.precision = precision;
     kernels::HeadStep& step = update.step;
     step.height = 192;
     step.width = 640;
-    step.channels = 16;
+    step.channels = kHeadChannels;
     const int pixels = step.height * step.width;
     step.shared = values(product({pixels, step.channels}));
     update.state = values(pixels);
     if (has_state) step.state = update.state;
     step.scale = values(step.channels);
     step.constant = values(product({kernels::kHeadPlaces, step.channels}));
-    step.composed = values(product({kernels::kHeadPlaces, 25, step.channels}));
-    const float* taps = values(product({9, step.channels}));
-    const std::span<float> weights =
-        floats(static_cast<double>(kernels::update_weight_floats(step.channels)));
+    const auto composed = floats(product({kernels::kHeadPlaces, 25, step.channels}));
+    const auto taps = floats(product({9, step.channels}));
     if (!status_) return;
-    kernels::pack_update_weights(taps, step.channels, weights.data());
-    update.weights = weights.data();
+    step.composed = stored(kernels::pack_composed(composed, step.channels, precision));
+    update.weights = stored(kernels::pack_update_weights(taps, step.channels, precision));
     update.p = 1;
     update.q = 0.1F;
     update.next = values(pixels);
     float* scratch = values(static_cast<double>(kernels::head_update_scratch(update)));
     const char* name =
         has_state ? "sampler step of the head, 640x192" : "sampler step from zeros, 640x192";
-    add({name, Precision::kFloat32, product({pixels, step.channels, (has_state ? 25 : 0) + 9}),
+    add({name, precision, product({pixels, step.channels, (has_state ? 25 : 0) + 9}),
          float_bytes(product({pixels, step.channels + 2})),
          [=] { kernels::head_update_rows(update, 0, update.step.height, scratch); }});
   }

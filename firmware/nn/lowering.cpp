@@ -311,7 +311,7 @@ class Lowering {
     return add_step(args, &kernels::group_norm_apply, out.height);
   }
 
-  Status make_head_step(const Layer& layer, kernels::HeadStep& out) {
+  Status make_head_step(const Layer& layer, Precision precision, kernels::HeadStep& out) {
     const int state = layer.inputs[1].layer;
     const bool starts_at_zero = network_.layer(state).kind == LayerKind::kStart &&
                                 network_.config().start == StartKind::kZeros;
@@ -321,13 +321,13 @@ class Lowering {
     out.width = layer.output.width;
     out.channels = layer.output.channels;
     out.relu = layer.activation == Activation::kRelu;
-    return weights_.pack_head_step(layer, out);
+    return weights_.pack_head_step(layer, precision, out);
   }
 
   // Only where a norm needs it whole.
   Status head_hidden() {
     kernels::HeadStep args;
-    LCDM_RETURN_IF_ERROR(make_head_step(layer_, args));
+    LCDM_RETURN_IF_ERROR(make_head_step(layer_, Precision::kFloat32, args));
     args.hidden = output_;
     return add_step(args, &kernels::head_hidden_rows, args.height);
   }
@@ -342,7 +342,8 @@ class Lowering {
       args.step.width = hidden.output.width;
       args.step.channels = hidden.output.channels;
     } else {
-      LCDM_RETURN_IF_ERROR(make_head_step(hidden, args.step));
+      args.precision = weights_.head_precision(hidden.output.channels);
+      LCDM_RETURN_IF_ERROR(make_head_step(hidden, args.precision, args.step));
       args.step.hidden = tensors_[static_cast<std::size_t>(source(0).layer)].data();
     }
     LCDM_RETURN_IF_ERROR(weights_.pack_update(layer_, args));

@@ -73,6 +73,10 @@ Precision WeightStore::precision_for(int numbers, Precision narrowest, int runs)
   return kernels::native_precision(std::min(precision_, narrowest), numbers, runs);
 }
 
+Precision WeightStore::head_precision(int channels) const {
+  return kernels::head_precision(precision_, channels);
+}
+
 std::vector<float> WeightStore::load(const Parameter& parameter) const {
   const auto found = model_.tensors().find(parameter.name);
   LCDM_CHECK(found != model_.tensors().end());  // check_weights has seen it
@@ -166,24 +170,22 @@ Status WeightStore::pack_winograd(const Layer& layer, kernels::WinogradConv& out
   return store(bias, out.conv.weights.bias);
 }
 
-Status WeightStore::pack_head_step(const Layer& layer, kernels::HeadStep& out) {
+Status WeightStore::pack_head_step(const Layer& layer, Precision precision,
+                                   kernels::HeadStep& out) {
   const HeadParameters given{load(layer.parameters[0]), load(layer.parameters[1]),
                              load(layer.parameters[2]), load(layer.parameters[3]),
                              load(layer.parameters[4])};
   const ComposedHead made = compose(given);
-  LCDM_RETURN_IF_ERROR(store(made.composed, out.composed));
+  LCDM_RETURN_IF_ERROR(
+      store(kernels::pack_composed(made.composed, out.channels, precision), out.composed));
   LCDM_RETURN_IF_ERROR(store(made.constant, out.constant));
   return store(given.scale, out.scale);
 }
 
 Status WeightStore::pack_update(const Layer& layer, kernels::HeadUpdate& out) {
-  const int channels = out.step.channels;
-  Result<std::span<float>> packed = constants_.add(kernels::update_weight_floats(channels));
-  if (!packed) return packed.status();
-  kernels::pack_update_weights(load_taps(layer.parameters[0]).data(), channels, packed->data());
-  out.weights = packed->data();
+  const std::vector<float> taps = load_taps(layer.parameters[0]);
   out.bias = load(layer.parameters[1]).front();
-  return Status::ok();
+  return store(kernels::pack_update_weights(taps, out.step.channels, out.precision), out.weights);
 }
 
 }  // namespace lcdm

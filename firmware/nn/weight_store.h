@@ -27,6 +27,9 @@ class WeightStore {
   // `narrowest`.
   Precision precision_for(int numbers, Precision narrowest = Precision::kInt8, int runs = 1) const;
 
+  // What a head's step of so many channels is made in.
+  Precision head_precision(int channels) const;
+
   // A parameter as it is in the file.
   Status store(const Parameter& parameter, const float*& out);
   // [channels, 1, 3, 3] or [1, channels, 3, 3] becomes [9, channels].
@@ -42,9 +45,9 @@ class WeightStore {
   Status pack_upsampled(const Layer& layer, int count, kernels::PackedMatrix& out);
   // The last conv.channels, transformed, with the bias.
   Status pack_winograd(const Layer& layer, kernels::WinogradConv& out);
-  // All weights of a sampler step's hidden layer; composed in double.
-  Status pack_head_step(const Layer& layer, kernels::HeadStep& out);
-  // Those of the convolution after it; step.channels is set.
+  // All weights of a sampler step's hidden layer; composed in double. Its channels are set.
+  Status pack_head_step(const Layer& layer, Precision precision, kernels::HeadStep& out);
+  // Those of the convolution after it; step.channels and precision are set.
   Status pack_update(const Layer& layer, kernels::HeadUpdate& out);
 
  private:

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "firmware/nn/kernels/head.h"
+#include "firmware/nn/kernels/matrix.h"
 #include "tests/firmware/image.h"
 
 namespace lcdm::kernels {
@@ -108,33 +109,91 @@ TEST(HeadKernel, SharesTheConditionsConvolutionExactlyBordersIncluded) {
   });
 }
 
-void expect_update(Random& random, int channels, bool zero) {
-  constexpr int kHeight = 6;
-  constexpr int kWidth = 37;
+// Whole numbers that bfloat16 holds exactly: what is left of its rounding is the hidden layer's.
+void make_whole(HeadCase& h) {
+  for (float& v : h.composed) v = std::round(8 * v);
+  for (float& v : h.taps) v = std::round(8 * v);
+  for (float& v : h.state_values) v = std::round(8 * v);
+}
+
+// The same from the composed taps.
+Image hidden_of(const HeadCase& h) {
+  Image out = h.hidden;
+  const HeadStep& s = h.step;
+  for (int y = 0; y < s.height; ++y) {
+    for (int x = 0; x < s.width; ++x) {
+      const auto along = [](int i, int size) { return i == 0 ? 0 : i == size - 1 ? 2 : 1; };
+      const int place = 3 * along(y, s.height) + along(x, s.width);
+      for (int c = 0; c < s.channels; ++c) {
+        const std::size_t at = static_cast<std::size_t>((y * s.width + x) * s.channels + c);
+        double sum = static_cast<double>(s.constant[place * s.channels + c]) +
+                     static_cast<double>(s.scale[c]) * static_cast<double>(s.shared[at]);
+        for (int t = 0; t < 25; ++t) {
+          const double state = h.state.padded(y + t / 5 - 2, x + t % 5 - 2, 0, Padding::kZero);
+          sum +=
+              state * static_cast<double>(
+                          h.composed[static_cast<std::size_t>((place * 25 + t) * s.channels + c)]);
+        }
+        out.values[at] = std::max(0.0, sum);
+      }
+    }
+  }
+  return out;
+}
+
+struct UpdateCase {
+  int channels;
+  int height;
+  int width;
+  bool zero;  // the state is
+  Precision precision = Precision::kFloat32;
+};
+
+void expect_update(Random& random, const UpdateCase& c) {
+  SCOPED_TRACE(testing::Message() << c.channels << " channels, " << c.width << "x" << c.height
+                                  << ", " << to_string(c.precision));
+  const bool narrow = c.precision != Precision::kFloat32;
   HeadCase h;
-  fill_head_case(h, random, kHeight, kWidth, channels, zero);
-  std::vector<float> weights(update_weight_floats(channels));
-  pack_update_weights(h.taps.data(), channels, weights.data());
-  std::vector<float> next(kHeight * kWidth);
+  fill_head_case(h, random, c.height, c.width, c.channels, c.zero);
+  if (narrow) {
+    make_whole(h);
+    h.state.values.assign(h.state_values.begin(), h.state_values.end());
+    h.hidden = hidden_of(h);
+    h.out = convolved_by(h.hidden, h.taps, 1);
+  }
+  const double rounding = narrow ? rounding_of_sum(h.hidden, 9 * c.channels, c.precision) * 8 : 0;
+  const auto composed = pack_composed(h.composed, c.channels, c.precision);
+  const auto weights = pack_update_weights(h.taps, c.channels, c.precision);
+  h.step.composed = composed.data();
+  std::vector<float> next(h.state_values.size());
   std::vector<float> seen(h.hidden.values.size(), kUntouched);
   h.step.hidden = seen.data();
-  HeadUpdate update{nullptr, h.step, weights.data(),        0.25F,
+  HeadUpdate update{nullptr, h.step, c.precision,           weights.data(), 0.25F,
                     1.5F,    -0.5F,  h.state_values.data(), next.data()};
   std::vector<float> scratch(head_update_scratch(update));
   Image want = h.out;
   for (std::size_t i = 0; i < next.size(); ++i) {
     want.values[i] = 1.5 * h.state.values[i] - 0.5 * (0.25 + want.values[i]);
   }
-  head_update_rows(update, 3, kHeight, scratch.data());
-  expect_only_rows(seen, static_cast<std::size_t>(kWidth * channels), 3, kHeight);
-  head_update_rows(update, 0, 3, scratch.data());
-  expect_near(next, want, 1e-3);
-  expect_near(seen, h.hidden, 2e-4);
+  const int half = c.height / 2;
+  const auto pitch = static_cast<std::size_t>(c.width * c.channels);
+  head_update_rows(update, half, c.height, scratch.data());
+  expect_only_rows(seen, pitch, static_cast<std::size_t>(half), static_cast<std::size_t>(c.height));
+  head_update_rows(update, 0, half, scratch.data());
+  expect_near(next, want, 1e-3 + rounding);
+  expect_near(seen, h.hidden, 2e-4 * (narrow ? 8 : 1));
 
+  // The same bytes whatever the slices.
+  std::vector<float> whole(next.size());
+  update.next = whole.data();
+  head_update_rows(update, 0, c.height, scratch.data());
+  EXPECT_EQ(whole, next);
+
+  if (narrow) return;
   update.hidden = seen.data();  // a norm made it: it is read instead
-  std::fill(next.begin(), next.end(), 0.0F);
-  head_update_rows(update, 0, kHeight, scratch.data());
-  expect_near(next, want, 1e-3);
+  std::fill(whole.begin(), whole.end(), 0.0F);
+  head_update_rows(update, 0, c.height, scratch.data());
+  expect_near(whole, want, 1e-3);
 }
 
 // A state of zeros everywhere is none to the hidden layer, but is one to the update.
@@ -142,8 +201,34 @@ TEST(HeadKernel, UpdatesTheStateInTheSamePass) {
   for_each_isa([] {
     Random random(6);
     for (const bool zero : {false, true}) {
-      for (const int channels : {4, 16, 20}) expect_update(random, channels, zero);
+      for (const int channels : {4, 16, 20}) expect_update(random, {channels, 6, 37, zero});
     }
+  });
+}
+
+// As many channels as a vector has lanes, where that is a vector at all.
+TEST(HeadKernel, UpdatesTheStateInHalves) {
+  for_each_isa([] {
+    const int channels = vector_lanes();
+    if (channels < 4 || support_of(Precision::kBfloat16) == Support::kNone) return;
+    Random random(7);
+    for (const bool zero : {false, true}) {
+      for (const auto& [height, width] :
+           {std::pair{6, 37}, {9, 32}, {5, 6}, {2, 3}, {3, 2}, {2, 48}}) {
+        expect_update(random, {channels, height, width, zero, Precision::kBfloat16});
+      }
+    }
+  });
+}
+
+TEST(HeadKernel, NarrowIsWhatTheProcessorHasForWholeVectors) {
+  for_each_isa([] {
+    const bool native = support_of(Precision::kBfloat16) == Support::kNative;
+    const Precision halves = native ? Precision::kBfloat16 : Precision::kFloat32;
+    EXPECT_EQ(head_precision(Precision::kInt8, vector_lanes()), halves);
+    EXPECT_EQ(head_precision(Precision::kBfloat16, vector_lanes()), halves);
+    EXPECT_EQ(head_precision(Precision::kBfloat16, vector_lanes() + 4), Precision::kFloat32);
+    EXPECT_EQ(head_precision(Precision::kFloat16, vector_lanes()), Precision::kFloat32);
   });
 }
 

@@ -52,6 +52,24 @@ struct Bfloat16Operand {
     return hn::BitCast(d, hn::Or(l, h));
   }
 
+  // Words of consecutive numbers: those of `first` in the lower half of the vector, of `second` in
+  // the upper.
+  template <class D, class V = hn::Vec<D>>
+  static HWY_INLINE V joined(D d, V first, V second) {
+#if LCDM_NATIVE_BFLOAT16
+    (void)d;
+    asm("vcvtne2ps2bf16 %1, %0, %0" : "+v"(second.raw) : "v"(first.raw));
+    return second;
+#else
+    HWY_ALIGN float numbers[2 * kLanes];
+    HWY_ALIGN float words[kLanes];
+    hn::Store(first, d, numbers);
+    hn::StoreU(second, d, numbers + hn::Lanes(d));
+    narrow(numbers, 2 * static_cast<int>(hn::Lanes(d)), words);
+    return hn::Load(d, words);
+#endif
+  }
+
   // `count` numbers of a row, a multiple of 2, into count / 2 words.
   static HWY_INLINE void narrow(const float* from, int count, float* words) {
     int i = 0;
@@ -78,10 +96,8 @@ struct Bfloat16Operand {
   static HWY_INLINE int narrow_vectors(D d, int i, const float* from, int count, float* words) {
     const int lanes = static_cast<int>(hn::Lanes(d));
     for (; i + 2 * lanes <= count; i += 2 * lanes) {
-      const auto low = hn::LoadU(d, from + i);
-      auto high = hn::LoadU(d, from + i + lanes);
-      asm("vcvtne2ps2bf16 %1, %0, %0" : "+v"(high.raw) : "v"(low.raw));
-      hn::StoreU(high, d, words + i / 2);
+      hn::StoreU(joined(d, hn::LoadU(d, from + i), hn::LoadU(d, from + i + lanes)), d,
+                 words + i / 2);
     }
     return i;
   }

@@ -8,6 +8,10 @@
 #pragma once
 
 #include <cstddef>
+#include <span>
+#include <vector>
+
+#include "firmware/nn/network.h"
 
 namespace lcdm::kernels {
 
@@ -27,19 +31,29 @@ struct HeadStep {
   int width = 0;
   int channels = 0;
   const float* scale = nullptr;     // [C]: the folded norm's factor
-  const float* composed = nullptr;  // [kHeadPlaces, 25, C]: scale * conv1(embed(.))
+  const float* composed = nullptr;  // packed by pack_composed: scale * conv1(embed(.))
   const float* constant = nullptr;  // [kHeadPlaces, C]: bias + scale * conv1(time)
   bool relu = true;                 // false: a norm follows
   float* hidden = nullptr;          // [height, width, C]; null where nobody reads it
 };
 
-// Computes rows [begin, end) of step.hidden.
+// What a head's step can be made in where `wanted` is asked for: floats, or halves that need no
+// range (bfloat16) where the processor has them and one pixel's channels are one vector.
+Precision head_precision(Precision wanted, int channels);
+// As HeadStep and HeadUpdate want them, of taps [kHeadPlaces, 25, C] and [9, C].
+std::vector<float> pack_composed(std::span<const float> taps, int channels, Precision precision);
+std::vector<float> pack_update_weights(std::span<const float> taps, int channels,
+                                       Precision precision);
+
+// Computes rows [begin, end) of step.hidden; in floats.
 void head_hidden_rows(const HeadStep& step, int begin, int end);
 
 // next = p * state + q * (bias + conv3x3(hidden)), zero padding.
 struct HeadUpdate {
-  const float* hidden = nullptr;   // [height, width, C]; null: made from `step` row by row
-  HeadStep step;                   // its sizes count in both cases
+  const float* hidden = nullptr;  // [height, width, C]; null: made from `step` row by row
+  HeadStep step;                  // its sizes count in both cases
+  // Of both convolutions and of the weights packed for them; floats where `hidden` is given.
+  Precision precision = Precision::kFloat32;
   const float* weights = nullptr;  // packed by pack_update_weights
   float bias = 0;
   float p = 0;
@@ -47,10 +61,6 @@ struct HeadUpdate {
   const float* state = nullptr;  // [height, width]
   float* next = nullptr;         // [height, width]
 };
-
-// Floats of `weights` for so many channels: [9, channels rounded up to whole vectors].
-std::size_t update_weight_floats(int channels);
-void pack_update_weights(const float* taps, int channels, float* out);  // taps [9, channels]
 
 // Floats of scratch that head_update_rows needs.
 std::size_t head_update_scratch(const HeadUpdate& update);
