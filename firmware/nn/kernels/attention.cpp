@@ -37,9 +37,13 @@ struct QueryTile {
 template <class Operand>
 constexpr int kPerWord = numbers_per_word(Operand::kPrecision);
 
-// Scores of floats are in units of log(2), so that e^score is a power of two.
+// Scores that need no other unit are in log(2)'s, so that e^score is a power of two.
 template <class Operand>
-constexpr float kScoreUnits = kPerWord<Operand> == 1 ? 1.44269504F : 1.0F;
+constexpr float kScoreUnits = Operand::kScaled ? 1.0F : 1.44269504F;
+
+// Scores no larger than this, of either sign, need not be compared with the largest of their query
+// before they become powers of two: these and their sums stay far from a float's ends.
+constexpr float kMostScore = 60;
 
 // The operand's numbers of one word, from rows that are `step` apart, times `factor` where it is
 // scaled; what is beyond `count` is 0.
@@ -78,9 +82,14 @@ struct Buffers {
   float* queries;  // [words of head_channels, kQueries]
   float* mixed;    // [head_channels, kQueries]
   float* scores;   // [tokens, kQueries]; then words of two tokens each, from the front
+  float* of_head;  // what keys and values were divided by; the square of the longest key
   float* keys;     // [tokens, words of head_channels]; floats stay where they are, without room
   float* values;   // [words of tokens, head_channels]; alike
-  float* scales;   // what keys and values were divided by, where the operand is scaled
+
+  static constexpr int kKeyScale = 0;
+  static constexpr int kValueScale = 1;
+  static constexpr int kLongestKey = 2;
+  static constexpr std::size_t kOfHead = 3;
 
   // As attention_scratch counts.
   HWY_INLINE Buffers(const QueryTile& t, float* scratch) {
@@ -89,9 +98,9 @@ struct Buffers {
     mixed = scratch;
     queries = mixed + channels * kQueries;
     scores = queries + channels * kQueries;
-    keys = scores + tokens * kQueries;
+    of_head = scores + tokens * kQueries;
+    keys = of_head + kOfHead;
     values = keys + tokens * static_cast<std::size_t>(words_of<Operand>(t.head_channels));
-    scales = values + channels * static_cast<std::size_t>(words_of<Operand>(t.tokens));
   }
 };
 
@@ -127,8 +136,8 @@ HWY_INLINE void pack_keys_and_values(const QueryTile& t, const Buffers<Operand>&
   const PowerOfTwo of_values =
       scale_of<Operand>(t.values, t.token_stride, t.tokens, t.head_channels);
   if constexpr (Operand::kScaled) {
-    b.scales[0] = of_keys.value;
-    b.scales[1] = of_values.value;
+    b.of_head[Buffers<Operand>::kKeyScale] = of_keys.value;
+    b.of_head[Buffers<Operand>::kValueScale] = of_values.value;
   }
   for (int token = 0; token < t.tokens; ++token) {
     const float* from = t.keys + token * t.token_stride;
@@ -158,16 +167,24 @@ struct Walk {
   int depth;
 };
 
+// The scores of keys from `key` on, or the mixed channels from there on.
+template <class Operand, int MR>
+HWY_INLINE void multiply(const Walk& rows, int row, const float* b,
+                         FullVec (&acc)[MR][kQueryVectors]) {
+  const FullTag d;
+  LCDM_UNROLL for (int m = 0; m < MR; ++m) {
+    LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) acc[m][v] = hn::Zero(d);
+  }
+  accumulate<Operand, MR, kQueryVectors>(d, rows.data + row * rows.row_stride, rows.row_stride,
+                                         rows.k_stride, rows.depth, b, acc);
+}
+
 template <class Operand, int MR>
 HWY_INLINE void score_rows(const Walk& keys, int key, const Buffers<Operand>& b,
                            FullVec (&largest)[kQueryVectors]) {
   const FullTag d;
   FullVec acc[MR][kQueryVectors];
-  LCDM_UNROLL for (int m = 0; m < MR; ++m) {
-    LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) acc[m][v] = hn::Zero(d);
-  }
-  accumulate<Operand, MR, kQueryVectors>(d, keys.data + key * keys.row_stride, keys.row_stride,
-                                         keys.k_stride, keys.depth, b.queries, acc);
+  multiply<Operand, MR>(keys, key, b.queries, acc);
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) {
       hn::StoreU(acc[m][v], d, b.scores + (key + m) * kQueries + v * kLanes);
@@ -176,17 +193,103 @@ HWY_INLINE void score_rows(const Walk& keys, int key, const Buffers<Operand>& b,
   }
 }
 
+// 2^score where that is within 126 of 0.
+template <class Operand>
+HWY_INLINE FullVec power_within(FullTag d, FullVec score) {
+  if constexpr (kPerWord<Operand> == 1) {
+    return exp2_within(d, score);
+  } else {
+    return rough_exp2_within(d, score);
+  }
+}
+
 // e^((score - largest) * unit).
 template <class Operand>
 HWY_INLINE FullVec power_of(FullTag d, FullVec score, FullVec largest,
                             [[maybe_unused]] float unit) {
-  if constexpr (kPerWord<Operand> == 1) {
-    return exp2_approx(d, hn::Sub(score, largest));
+  if constexpr (Operand::kScaled) {
+    return rough_exp_minus(d, hn::Mul(hn::Sub(largest, score), hn::Set(d, unit)));
   } else {
-    FullVec more = hn::Sub(largest, score);
-    if constexpr (Operand::kScaled) more = hn::Mul(more, hn::Set(d, unit));
-    return rough_exp_minus(d, more);
+    return power_within<Operand>(d, hn::Max(hn::Sub(score, largest), hn::Set(d, -126.0F)));
   }
+}
+
+// scores[key][query] = 2^score at once, as words; adds them to their sums.
+template <class Operand, int MR>
+HWY_INLINE void power_rows(const Walk& keys, int key, const Buffers<Operand>& b,
+                           FullVec (&sum)[kQueryVectors]) {
+  constexpr int kWord = kPerWord<Operand>;
+  const FullTag d;
+  FullVec acc[MR][kQueryVectors];
+  multiply<Operand, MR>(keys, key, b.queries, acc);
+  float* word = b.scores + key / kWord * static_cast<int>(kQueries);
+  LCDM_UNROLL for (int m = 0; m < MR; m += kWord, word += kQueries) {
+    LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) {
+      FullVec e = power_within<Operand>(d, acc[m][v]);
+      sum[v] = hn::Add(sum[v], e);
+      if constexpr (kWord == 2) {
+        FullVec next = hn::Zero(d);
+        if (m + 1 < MR) {
+          next = power_within<Operand>(d, acc[m + 1][v]);
+          sum[v] = hn::Add(sum[v], next);
+        }
+        e = Operand::pair(d, e, next);
+      }
+      hn::StoreU(e, d, word + v * kLanes);
+    }
+  }
+}
+
+// scores <- 2^score as words; returns 1 / their sums.
+template <class Operand>
+HWY_INLINE void powers(const QueryTile& t, const Walk& keys, const Buffers<Operand>& b,
+                       FullVec (&inverse)[kQueryVectors]) {
+  constexpr int kRows = tile_rows<kQueryVectors>();
+  const FullTag d;
+  FullVec sum[kQueryVectors];
+  for (FullVec& v : sum) v = hn::Zero(d);
+  int key = 0;
+  for (; key + kRows <= t.tokens; key += kRows) power_rows<Operand, kRows>(keys, key, b, sum);
+  for (; key + 2 <= t.tokens; key += 2) power_rows<Operand, 2>(keys, key, b, sum);
+  for (; key < t.tokens; ++key) power_rows<Operand, 1>(keys, key, b, sum);
+  for (int v = 0; v < kQueryVectors; ++v) inverse[v] = hn::Div(hn::Set(d, 1.0F), sum[v]);
+}
+
+// The square of the longest of `count` rows.
+HWY_INLINE float longest_square(const float* rows, std::ptrdiff_t stride, int count, int numbers) {
+  float longest = 0;
+  for (int row = 0; row < count; ++row, rows += stride) {
+    const FullTag d;
+    constexpr int kStep = static_cast<int>(kLanes);
+    FullVec sum = hn::Zero(d);
+    float rest = 0;
+    int i = 0;
+    for (; i + kStep <= numbers; i += kStep) {
+      const FullVec v = hn::LoadU(d, rows + i);
+      sum = hn::MulAdd(v, v, sum);
+    }
+    for (; i < numbers; ++i) rest += rows[i] * rows[i];
+    longest = std::max(longest, rest + hn::GetLane(hn::SumOfLanes(d, sum)));
+  }
+  return longest;
+}
+
+// Whether all scores of this tile are within kMostScore: none is more than the product of its
+// query's and its key's lengths. Queries are as pack_queries turned them.
+template <class Operand>
+HWY_INLINE bool scores_are_small(const QueryTile& t, const Buffers<Operand>& b) {
+  const FullTag d;
+  FullVec longest = hn::Zero(d);
+  for (std::size_t q = 0; q < kQueries; q += kLanes) {
+    FullVec sum = hn::Zero(d);
+    for (int c = 0; c < t.head_channels; ++c) {
+      const FullVec v = hn::LoadU(d, b.mixed + static_cast<std::size_t>(c) * kQueries + q);
+      sum = hn::MulAdd(v, v, sum);
+    }
+    longest = hn::Max(longest, sum);
+  }
+  const float of_queries = hn::GetLane(hn::MaxOfLanes(d, longest));
+  return of_queries * b.of_head[Buffers<Operand>::kLongestKey] <= kMostScore * kMostScore;
 }
 
 // scores[key][query] <- exp((score - largest of the query) * unit), as words; returns 1 / their
@@ -215,18 +318,27 @@ HWY_INLINE void softmax(const QueryTile& t, float unit, const FullVec (&largest)
   }
 }
 
+// The same of scores of any size, compared with the largest of their query.
+template <class Operand>
+HWY_INLINE void compare_scores(const QueryTile& t, const Walk& keys, float unit,
+                               const Buffers<Operand>& b, FullVec (&inverse)[kQueryVectors]) {
+  constexpr int kRows = tile_rows<kQueryVectors>();
+  const FullTag d;
+  FullVec largest[kQueryVectors];
+  for (FullVec& v : largest) v = hn::Set(d, -3.0e38F);
+  int key = 0;
+  for (; key + kRows <= t.tokens; key += kRows) score_rows<Operand, kRows>(keys, key, b, largest);
+  for (; key < t.tokens; ++key) score_rows<Operand, 1>(keys, key, b, largest);
+  softmax(t, unit, largest, b, inverse);
+}
+
 // mixed[c][query] = sum over keys of value[key][c] * scores[key][query] * inverse[query].
 template <class Operand, int MR>
 HWY_INLINE void mix_rows(const Walk& values, int channel, const FullVec (&inverse)[kQueryVectors],
                          const Buffers<Operand>& b) {
   const FullTag d;
   FullVec acc[MR][kQueryVectors];
-  LCDM_UNROLL for (int m = 0; m < MR; ++m) {
-    LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) acc[m][v] = hn::Zero(d);
-  }
-  accumulate<Operand, MR, kQueryVectors>(d, values.data + channel * values.row_stride,
-                                         values.row_stride, values.k_stride, values.depth, b.scores,
-                                         acc);
+  multiply<Operand, MR>(values, channel, b.scores, acc);
   LCDM_UNROLL for (int m = 0; m < MR; ++m) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) {
       hn::StoreU(hn::Mul(acc[m][v], inverse[v]), d,
@@ -242,6 +354,11 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   const Buffers<Operand> b(t, scratch);
   const float scale = kScoreUnits<Operand> / std::sqrt(static_cast<float>(t.head_channels));
   float unit = pack_queries(t, scale, b);
+  if (t.first_of_head && !Operand::kScaled) {
+    b.of_head[Buffers<Operand>::kLongestKey] =
+        longest_square(t.keys, t.token_stride, t.tokens, t.head_channels);
+  }
+  const bool small = !Operand::kScaled && scores_are_small(t, b);
   float value_unit = 1;
   const int channel_words = words_of<Operand>(t.head_channels);
   Walk keys = {t.keys, t.token_stride, 1, channel_words};
@@ -252,18 +369,16 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
     values = {b.values, 1, t.head_channels, words_of<Operand>(t.tokens)};
   }
   if constexpr (Operand::kScaled) {
-    unit *= b.scales[0];
-    value_unit = b.scales[1];
+    unit *= b.of_head[Buffers<Operand>::kKeyScale];
+    value_unit = b.of_head[Buffers<Operand>::kValueScale];
   }
 
-  FullVec largest[kQueryVectors];
-  for (FullVec& v : largest) v = hn::Set(d, -3.0e38F);
-  int key = 0;
-  for (; key + kRows <= t.tokens; key += kRows) score_rows<Operand, kRows>(keys, key, b, largest);
-  for (; key < t.tokens; ++key) score_rows<Operand, 1>(keys, key, b, largest);
-
   FullVec inverse[kQueryVectors];
-  softmax(t, unit, largest, b, inverse);
+  if (small) {
+    powers(t, keys, b, inverse);
+  } else {
+    compare_scores(t, keys, unit, b, inverse);
+  }
   if constexpr (Operand::kScaled) {
     for (FullVec& v : inverse) v = hn::Mul(v, hn::Set(d, value_unit));
   }
@@ -349,12 +464,13 @@ std::size_t attention_scratch(const Attention& a) {
   const auto tokens = static_cast<std::size_t>(a.tokens);
   const auto head_channels = static_cast<std::size_t>(a.channels / a.heads);
   const std::size_t rows = tokens + 2 * head_channels;  // of a tile's queries
-  const std::size_t tile = rows * static_cast<std::size_t>(HWY_DYNAMIC_DISPATCH(query_tile)());
+  constexpr std::size_t kOfHead = 3;
+  const std::size_t tile =
+      rows * static_cast<std::size_t>(HWY_DYNAMIC_DISPATCH(query_tile)()) + kOfHead;
   if (a.precision == Precision::kFloat32) return tile;
   const auto per_word = static_cast<std::size_t>(numbers_per_word(a.precision));
   const auto words = [per_word](std::size_t count) { return (count + per_word - 1) / per_word; };
-  const std::size_t scales = a.precision == Precision::kFloat16 ? 2 : 0;  // of keys and values
-  return tile + tokens * words(head_channels) + words(tokens) * head_channels + scales;
+  return tile + tokens * words(head_channels) + words(tokens) * head_channels;
 }
 
 void attention_range(const Attention& a, int begin, int end, float* scratch) {

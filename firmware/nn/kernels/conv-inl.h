@@ -20,15 +20,23 @@ HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
 
-// bias and activation of a row that has all its sums already.
+// bias and activation of a row that has all its sums already; rough beside narrow products. Few
+// columns that fill a vector by themselves some times over are taken so many pixels at a time.
 HWY_INLINE void finish_row(const Conv3x3& conv, const float* sums, float* out) {
   const auto columns = static_cast<std::size_t>(conv.weights.columns);
   const std::size_t count = static_cast<std::size_t>(conv.width) * columns;
+  const std::size_t step = kLanes % columns == 0 ? kLanes : columns;
+  HWY_ALIGN float repeated[kLanes];
+  for (std::size_t i = 0; i < kLanes; ++i) repeated[i] = conv.weights.bias[i % columns];
+  const float* bias = step == kLanes ? repeated : conv.weights.bias;
   with_activation(conv.activation, [&](auto kind) HWY_ATTR {
-    for (std::size_t at = 0; at < count; at += columns) {
-      for_channels(columns, [&](auto d, std::size_t c) HWY_ATTR {
-        const auto sum = hn::Add(hn::LoadU(d, sums + at + c), hn::LoadU(d, conv.weights.bias + c));
-        hn::StoreU(activate<decltype(kind)::value>(d, sum), d, out + at + c);
+    constexpr Activation kKind = decltype(kind)::value;
+    const bool rough = conv.upsampled.taps.precision != Precision::kFloat32;
+    for (std::size_t at = 0; at < count; at += step) {
+      for_channels(std::min(step, count - at), [&](auto d, std::size_t c) HWY_ATTR {
+        const auto sum = hn::Add(hn::LoadU(d, sums + at + c), hn::LoadU(d, bias + c));
+        hn::StoreU(rough ? activate<kKind, true>(d, sum) : activate<kKind>(d, sum), d,
+                   out + at + c);
       });
     }
   });

@@ -166,9 +166,10 @@ struct Panel {
   const PackedMatrix& matrix;
   int column;
 
-  const float* words() const {
-    const int per_word = numbers_per_word(matrix.precision);
-    return matrix.panels + static_cast<std::size_t>(column) * (matrix.depth / per_word);
+  template <class Operand>
+  HWY_INLINE const float* words() const {
+    constexpr int kPerWord = numbers_per_word(Operand::kPrecision);
+    return matrix.panels + static_cast<std::size_t>(column) * (matrix.depth / kPerWord);
   }
   std::ptrdiff_t at(int v) const { return column + v * static_cast<std::ptrdiff_t>(kLanes); }
 };
@@ -193,7 +194,8 @@ HWY_INLINE void multiply_run(D d, const Words& a, int row, int r, const Panel& p
                              hn::Vec<D> (&acc)[MR][NV]) {
   const RowInput& rows = a.rows;
   const float* run = rows.run[r] + row * rows.stride;
-  const float* words = panel.words() + static_cast<std::size_t>(r) * rows.run_length * NV * kLanes;
+  const float* words =
+      panel.words<Operand>() + static_cast<std::size_t>(r) * rows.run_length * NV * kLanes;
   if constexpr (NV == 1 && Operand::kBlock == 0) {
     if (rows.are_windows()) {
       return accumulate_windows<Operand, MR>(d, run, rows.stride, words, acc);

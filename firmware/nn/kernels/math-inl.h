@@ -42,19 +42,31 @@ HWY_INLINE V exp_approx(D d, V x) {
   return hn::BitCast(d, hn::Add(hn::BitCast(di, p), hn::ShiftLeft<23>(hn::BitCast(di, shifted))));
 }
 
-// 2^x within 3e-7 relative for x up to 0, clamped below -126. As above, without log(2): the same
-// polynomial of x - n, its coefficients times the powers of log(2).
+// 2^x within 3e-7 relative for x in [-126, 126]. As above, without log(2): the same polynomial of
+// x - n, its coefficients times the powers of log(2).
 template <class D, class V>
-HWY_INLINE V exp2_approx(D d, V x) {
+HWY_INLINE V exp2_within(D d, V x) {
   const hn::RebindToSigned<D> di;
   const auto magic = hn::Set(d, 12582912.0F);
-  x = hn::Max(x, hn::Set(d, -126.0F));
   const V shifted = hn::Add(x, magic);
   const V r = hn::Sub(x, hn::Sub(shifted, magic));
   V p = hn::MulAdd(hn::Set(d, 1.326472857e-03F), r, hn::Set(d, 9.671514314e-03F));
   p = hn::MulAdd(p, r, hn::Set(d, 5.550733755e-02F));
   p = hn::MulAdd(p, r, hn::Set(d, 2.402224206e-01F));
   p = hn::MulAdd(p, r, hn::Set(d, 6.931469776e-01F));
+  p = hn::MulAdd(p, r, hn::Set(d, 1.0F));
+  return hn::BitCast(d, hn::Add(hn::BitCast(di, p), hn::ShiftLeft<23>(hn::BitCast(di, shifted))));
+}
+
+// The same within 1.1e-4, beside narrow numbers: the polynomial has degree 3.
+template <class D, class V>
+HWY_INLINE V rough_exp2_within(D d, V x) {
+  const hn::RebindToSigned<D> di;
+  const auto magic = hn::Set(d, 12582912.0F);
+  const V shifted = hn::Add(x, magic);
+  const V r = hn::Sub(x, hn::Sub(shifted, magic));
+  V p = hn::MulAdd(hn::Set(d, 5.501141659e-02F), r, hn::Set(d, 2.422012370e-01F));
+  p = hn::MulAdd(p, r, hn::Set(d, 6.932815963e-01F));
   p = hn::MulAdd(p, r, hn::Set(d, 1.0F));
   return hn::BitCast(d, hn::Add(hn::BitCast(di, p), hn::ShiftLeft<23>(hn::BitCast(di, shifted))));
 }
@@ -73,8 +85,8 @@ HWY_INLINE V reciprocal(D d, V x) {
 }
 
 // e^-x within 1.1e-4 relative for x in [-88, 87], clamped above, and e^0 is 1: for what narrow
-// numbers follow or precede. As above, but n log(2) is taken away at once and the polynomial has
-// degree 3.
+// numbers follow or precede. As exp_approx, but n log(2) is taken away at once and the polynomial
+// has degree 3.
 template <class D, class V>
 HWY_INLINE V rough_exp_minus(D d, V x) {
   const hn::RebindToSigned<D> di;
