@@ -111,11 +111,61 @@ HWY_INLINE V rough_reciprocal([[maybe_unused]] D d, V x) {
   }
 }
 
+#if HWY_TARGET == HWY_AVX3
+// x / (1 + e^-x) within 1e-4: of |x| in 32 steps of 0.4 the difference from max(x, 0), which is 0
+// from 12.2 on, by a polynomial of degree 2 each. Two thirds of the operations that a power and a
+// division take.
+HWY_INLINE FullVec silu_by_table(FullTag d, FullVec x) {
+  HWY_ALIGN static constexpr float kSquare[2 * kLanes] = {
+      -2.48746306e-01F, -2.30291754e-01F, -1.81223705e-01F, -1.20673291e-01F, -6.57548234e-02F,
+      -2.52769180e-02F, -1.61177406e-04F, 1.28179025e-02F,  1.77929550e-02F,  1.81993712e-02F,
+      1.63800400e-02F,  1.37376348e-02F,  1.10217258e-02F,  8.58064182e-03F,  6.53789518e-03F,
+      4.90213698e-03F,  3.63047188e-03F,  2.66248919e-03F,  1.93715328e-03F,  1.40018691e-03F,
+      1.00647821e-03F,  7.20058451e-04F,  5.13039995e-04F,  3.64230131e-04F,  2.57764012e-04F,
+      1.81903015e-04F,  1.28042491e-04F,  8.99231018e-05F,  6.30206123e-05F,  4.40825643e-05F,
+      3.07817136e-05F,  0.00000000e+00F};
+  HWY_ALIGN static constexpr float kLinear[2 * kLanes] = {
+      4.99895453e-01F,  4.90361094e-01F,  4.30312514e-01F,  3.09119582e-01F,  1.55985698e-01F,
+      1.11348601e-02F,  -9.86074805e-02F, -1.65555462e-01F, -1.95076078e-01F, -1.97666526e-01F,
+      -1.83765113e-01F, -1.61549792e-01F, -1.36571884e-01F, -1.12180874e-01F, -9.01417881e-02F,
+      -7.11881742e-02F, -5.54376766e-02F, -4.26750593e-02F, -3.25319432e-02F, -2.45937258e-02F,
+      -1.84585676e-02F, -1.37662645e-02F, -1.02092130e-02F, -7.53331231e-03F, -5.53368870e-03F,
+      -4.04821057e-03F, -2.95045762e-03F, -2.14304193e-03F, -1.55169563e-03F, -1.12026872e-03F,
+      -8.06623371e-04F, 0.00000000e+00F};
+  HWY_ALIGN static constexpr float kConstant[2 * kLanes] = {
+      0.00000000e+00F, 1.22717815e-03F, 1.97535884e-02F, 8.05963203e-02F, 1.87525824e-01F,
+      3.17243785e-01F, 4.37200814e-01F, 5.23570657e-01F, 5.67373872e-01F, 5.71484864e-01F,
+      5.44924617e-01F, 4.98223603e-01F, 4.40784842e-01F, 3.79848748e-01F, 3.20397347e-01F,
+      2.65487880e-01F, 2.16713339e-01F, 1.74642146e-01F, 1.39179364e-01F, 1.09839052e-01F,
+      8.59367400e-02F, 6.67177588e-02F, 5.14375120e-02F, 3.94075029e-02F, 3.00180316e-02F,
+      2.27457825e-02F, 1.71521716e-02F, 1.28765320e-02F, 9.62683465e-03F, 7.16969324e-03F,
+      5.32064401e-03F, 0.00000000e+00F};
+  // Positive floats are in the order of their bits; 12.4 is in the last step.
+  const __m512i bits = _mm512_and_si512(_mm512_castps_si512(x.raw), _mm512_set1_epi32(0x7FFFFFFF));
+  const FullVec a{_mm512_castsi512_ps(_mm512_min_epi32(bits, _mm512_set1_epi32(0x41466666)))};
+  // Its lowest bits are the step.
+  const __m512i step =
+      _mm512_castps_si512(hn::MulAdd(a, hn::Set(d, 2.5F), hn::Set(d, 12582912.0F)).raw);
+  const auto of_step = [&](const float* table) HWY_ATTR {
+    return FullVec{
+        _mm512_permutex2var_ps(_mm512_load_ps(table), step, _mm512_load_ps(table + kLanes))};
+  };
+  const FullVec less =
+      hn::MulAdd(hn::MulAdd(of_step(kSquare), a, of_step(kLinear)), a, of_step(kConstant));
+  return hn::Sub(hn::Max(x, hn::Zero(d)), less);
+}
+#endif
+
 // kRough: within 5e-4 relative, beside narrow products.
 template <Activation kActivation, bool kRough = false, class D, class V>
 HWY_INLINE V activate(D d, V x) {
   const V zero = hn::Zero(d);
   const V one = hn::Set(d, 1.0F);
+#if HWY_TARGET == HWY_AVX3
+  if constexpr (kActivation == Activation::kSilu && kRough && sizeof(V) == 64) {
+    return silu_by_table(d, x);
+  }
+#endif
   if constexpr (kActivation == Activation::kSilu && kRough) {
     const V e = rough_exp_minus(d, hn::Max(x, hn::Set(d, -88.0F)));
     return hn::Mul(x, rough_reciprocal(d, hn::Add(one, e)));
