@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "firmware/nn/kernels/inverted_residual.h"
+
 namespace lcdm {
 namespace {
 
@@ -77,6 +79,11 @@ Precision WeightStore::head_precision(int channels) const {
   return kernels::head_precision(precision_, channels);
 }
 
+Precision WeightStore::filter_precision() const {
+  const Precision halves = precision_for(2, Precision::kBfloat16);
+  return halves == Precision::kBfloat16 ? halves : Precision::kFloat32;
+}
+
 std::vector<float> WeightStore::load(const Parameter& parameter) const {
   const auto found = model_.tensors().find(parameter.name);
   LCDM_CHECK(found != model_.tensors().end());  // check_weights has seen it
@@ -122,8 +129,8 @@ Status WeightStore::store(const Parameter& parameter, const float*& out) {
   return store(load(parameter), out);
 }
 
-Status WeightStore::store_taps(const Parameter& parameter, const float*& out) {
-  return store(load_taps(parameter), out);
+Status WeightStore::store_taps(const Parameter& parameter, Precision filter, const float*& out) {
+  return store(kernels::pack_filter_taps(load_taps(parameter), filter), out);
 }
 
 Status WeightStore::pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out,

@@ -29,11 +29,14 @@ class WeightStore {
 
   // What a head's step of so many channels is made in.
   Precision head_precision(int channels) const;
+  // Of an inverted residual's filter beside narrow products: bfloat16 where the processor has it,
+  // which needs no range.
+  Precision filter_precision() const;
 
   // A parameter as it is in the file.
   Status store(const Parameter& parameter, const float*& out);
-  // [channels, 1, 3, 3] or [1, channels, 3, 3] becomes [9, channels].
-  Status store_taps(const Parameter& parameter, const float*& out);
+  // The taps of a depthwise filter, [channels, 1, 3, 3], for its precision.
+  Status store_taps(const Parameter& parameter, Precision filter, const float*& out);
 
   // The weight [columns, depth] and, where there is one, the bias of a 1x1 convolution or a linear
   // layer; for products no narrower than `narrowest`.
@@ -52,6 +55,7 @@ class WeightStore {
 
  private:
   std::vector<float> load(const Parameter& parameter) const;
+  // [channels, 1, 3, 3] or [1, channels, 3, 3] becomes [9, channels].
   std::vector<float> load_taps(const Parameter& parameter) const;
   std::vector<float> bias_of(const Layer& layer) const;
   Status store(std::span<const float> values, const float*& out);

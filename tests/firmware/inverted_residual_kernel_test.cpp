@@ -47,15 +47,19 @@ struct Layers {
 // The block in one pass against its three layers one after the other, with borders, over several
 // strips, and in slices as several workers would.
 void check_inverted_residual(Random& random, const Size& size,
-                             Precision precision = Precision::kFloat32) {
+                             Precision precision = Precision::kFloat32,
+                             Precision filter = Precision::kFloat32) {
   const auto& [channels, hidden, columns, stride, height, width] = size;
   SCOPED_TRACE(testing::Message() << channels << " -> " << hidden << " -> " << columns
                                   << ", stride " << stride << ", " << width << "x" << height << ", "
-                                  << to_string(precision));
+                                  << to_string(precision) << ", filter " << to_string(filter));
   const bool narrow = precision != Precision::kFloat32;
   Image in = make_image(random, height, width, channels);
   Filter expand(random, hidden, channels, 1);
-  const auto taps = random.reals(static_cast<std::size_t>(9 * hidden));
+  auto taps = random.reals(static_cast<std::size_t>(9 * hidden));
+  if (filter != Precision::kFloat32) {
+    for (float& tap : taps) tap = std::round(tap * 64) / 64;  // exact in halves
+  }
   const auto taps_bias = random.reals(static_cast<std::size_t>(hidden));
   Filter project(random, columns, hidden, 1);
   if (narrow) {
@@ -87,7 +91,9 @@ void check_inverted_residual(Random& random, const Size& size,
   block.hidden = hidden;
   block.stride = stride;
   block.expand = narrow ? expand.narrow(precision, narrow_expand) : expand.packed;
-  block.taps = taps.data();
+  block.filter = filter;
+  const auto packed_taps = pack_filter_taps(taps, filter);
+  block.taps = packed_taps.data();
   block.taps_bias = taps_bias.data();
   block.project = narrow ? project.narrow(precision, narrow_project) : project.packed;
   block.residual = residual ? values.data() : nullptr;
@@ -104,7 +110,7 @@ void check_inverted_residual(Random& random, const Size& size,
   expect_only_rows(seen_filtered, pitch / step, first, static_cast<std::size_t>(rows));
   inverted_residual_rows(block, 0, rows / 2, scratch.data());
   // Beside narrow products activations are rough.
-  const double rough = 1e-3;
+  const double rough = filter == Precision::kFloat32 ? 1e-3 : 3e-3;
   expect_near(seen_expanded, want.expanded,
               narrow ? rough * rounding_of_sum(want.expanded, 1, Precision::kInt8) * 255 : 1e-4);
   expect_near(seen_filtered, want.filtered,
@@ -136,6 +142,30 @@ TEST(InvertedResidualKernel, IsItsThreeLayersInNarrowNumbers) {
       for (const int stride : {1, 2}) {
         check_inverted_residual(random, {8, 20, 8, stride, 6, 10}, precision);
         check_inverted_residual(random, {16, 640, 24, stride, 6, 84}, precision);
+      }
+    }
+  });
+}
+
+// Of every width, odd ones included: the last pixel may be alone in its pair.
+TEST(InvertedResidualKernel, FiltersPairsOfPixels) {
+  for_each_isa([] {
+    if (support_of(Precision::kBfloat16) == Support::kNone) return;
+    Random random(6);
+    for (const Precision precision :
+         {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
+      if (support_of(precision) == Support::kNone) continue;
+      for (int columns = 1; columns <= 13; ++columns) {
+        for (const int stride : {1, 2}) {
+          check_inverted_residual(random, {8, 20, 8, stride, 2 * stride, columns * stride},
+                                  precision, Precision::kBfloat16);
+        }
+      }
+      for (const int stride : {1, 2}) {
+        check_inverted_residual(random, {16, 640, 24, stride, 6, 84}, precision,
+                                Precision::kBfloat16);
+        check_inverted_residual(random, {16, 48, 16, stride, 4, 86}, precision,
+                                Precision::kBfloat16);
       }
     }
   });

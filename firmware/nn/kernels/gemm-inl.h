@@ -149,6 +149,30 @@ HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns
   }
 }
 
+// SiLU and stores of rows in pairs.
+template <int MR, int NV, class D>
+HWY_INLINE void finish_pairs(D d, const RowOutput& o, int row, int column, int columns,
+                             hn::Vec<D> (&acc)[MR][NV]) {
+  constexpr int kWidth = sizeof(hn::Vec<D>) / sizeof(float);
+  float* to = o.data + row / 2 * o.stride + column;
+  LCDM_UNROLL for (int m = 0; m < MR; m += 2, to += o.stride) {
+    LCDM_UNROLL for (int v = 0; v < NV; ++v) {
+      const auto first = activate<Activation::kSilu, true>(d, acc[m][v]);
+      auto second = hn::Zero(d);
+      if (m + 1 < MR) second = activate<Activation::kSilu, true>(d, acc[m + 1][v]);
+      const auto words = Bfloat16Operand::pair(d, first, second);
+      const int left = columns - v * kWidth;
+      if (left >= kWidth) {
+        hn::StoreU(words, d, to + v * kWidth);
+      } else {
+        HWY_ALIGN float part[kWidth];
+        hn::Store(words, d, part);
+        std::memcpy(to + v * kWidth, part, static_cast<std::size_t>(left) * sizeof(float));
+      }
+    }
+  }
+}
+
 // Rows as words of the operand: those of a RowInput. Where the operand is scaled, every run has
 // ranges of its own: one for all rows, or, of a single run, one for every kRowsOfRange rows.
 struct Words {
@@ -254,6 +278,11 @@ HWY_NOINLINE void tile(D d, const Words& a, int row, const Panel& panel, const R
   multiply_runs<Operand, MR, NV>(d, a, row, panel, acc);
   with_activation(o.activation, [&](auto kind) HWY_ATTR {
     constexpr bool kRough = Operand::kPrecision != Precision::kFloat32;
+    if constexpr (kRough && decltype(kind)::value == Activation::kSilu) {
+      if (o.paired) {
+        return finish_pairs(d, o, row, panel.column, panel.matrix.columns - panel.column, acc);
+      }
+    }
     finish<decltype(kind)::value, kRough, MR, NV>(d, o, row, panel.column,
                                                   panel.matrix.columns - panel.column, acc);
   });
@@ -304,7 +333,7 @@ HWY_INLINE void multiply_block(const Words& a, const PackedMatrix& b, const RowO
 }
 
 HWY_INLINE RowOutput rows_from(RowOutput o, std::ptrdiff_t row) {
-  o.data += row * o.stride;
+  o.data += (o.paired ? row / 2 : row) * o.stride;
   if (o.residual != nullptr) o.residual += row * o.stride;
   return o;
 }

@@ -3,6 +3,8 @@
 #pragma once
 
 #include <cstddef>
+#include <span>
+#include <vector>
 
 #include "firmware/nn/kernels/matrix.h"
 
@@ -17,8 +19,10 @@ struct InvertedResidual {
   int channels = 0;
   int hidden = 0;  // channels in between
   int stride = 1;
-  PackedMatrix expand;               // channels -> hidden
-  const float* taps = nullptr;       // [9, hidden]
+  PackedMatrix expand;  // channels -> hidden
+  // Of the expanded pixels and of the taps: floats, or beside narrow products kBfloat16.
+  Precision filter = Precision::kFloat32;
+  const float* taps = nullptr;       // packed by pack_filter_taps
   const float* taps_bias = nullptr;  // [hidden]
   PackedMatrix project;              // hidden -> project.columns
   const float* residual = nullptr;   // of the output's shape, or null
@@ -27,9 +31,12 @@ struct InvertedResidual {
   float* expanded = nullptr;  // [height, width, hidden]
   float* filtered = nullptr;  // [height / stride, width / stride, hidden]
 
-  int strip_columns() const;              // output columns that are computed together
-  int window_columns(int columns) const;  // expanded pixels that so many output columns look at
+  int strip_columns() const;            // output columns that are computed together
+  int window_words(int columns) const;  // pixels, or pairs of them, that so many of these look at
 };
+
+// Taps [9, hidden] as the filter wants them.
+std::vector<float> pack_filter_taps(std::span<const float> taps, Precision filter);
 
 // Floats of scratch that inverted_residual_rows needs.
 std::size_t inverted_residual_scratch(const InvertedResidual& block);

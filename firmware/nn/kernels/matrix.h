@@ -113,6 +113,9 @@ struct RowOutput {
   const float* residual = nullptr;
   std::ptrdiff_t stride = 0;
   Activation activation = Activation::kNone;
+  // Rows two by two as words of bfloat16, the first of them in the lower half, a missing second one
+  // 0; the stride is from pair to pair. Of narrow products with SiLU and no residual.
+  bool paired = false;
 };
 
 // out = activation(a * b + bias + residual), over all rows of `a`. Where the matrix is narrow, rows
