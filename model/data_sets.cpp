@@ -163,6 +163,13 @@ Result<CatalogueEntry> own_entry(const fs::path& folder) {
   return entry;
 }
 
+// A set that nothing is trained on has no neighbours to keep away from: all of it measures.
+void validate_on_all(Pack& pack) {
+  pack.train.clear();
+  pack.validation.resize(pack.frames->size());
+  std::iota(pack.validation.begin(), pack.validation.end(), std::size_t{0});
+}
+
 void add(Data& data, Pack pack, const Protocol& protocol) {
   data.packs.push_back(std::move(pack));
   data.protocols.push_back(protocol);
@@ -219,6 +226,8 @@ Result<Data> load_training_data(const DataOptions& options) {
   const auto take = [&](const CatalogueEntry& entry, const fs::path& root) -> Status {
     Result<Pack> pack = open_entry(entry, root, Purpose::kTrain, options.every);
     if (!pack) return pack.status();
+    const bool trains = entry.use.wide_share + entry.use.tall_share > 0;
+    if (!trains && entry.validation_list.empty()) validate_on_all(*pack);
     add(data, std::move(*pack), entry.protocol);
     return Status::ok();
   };
@@ -255,9 +264,7 @@ Result<Data> load_test_data(const DataOptions& options) {
   for (const CatalogueEntry& entry : catalogue->test) {
     Result<Pack> pack = open_entry(entry, catalogue->root, Purpose::kTest, 1);
     if (!pack) return pack.status();
-    pack->train.clear();
-    pack->validation.resize(pack->frames->size());
-    for (std::size_t i = 0; i < pack->validation.size(); ++i) pack->validation[i] = i;
+    validate_on_all(*pack);
     add(data, std::move(*pack), entry.protocol);
   }
   return data;

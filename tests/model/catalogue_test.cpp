@@ -88,6 +88,7 @@ TEST(Catalogues, OfTheProjectAreWellFormed) {
   EXPECT_FALSE(research->licence.empty());
   EXPECT_EQ(research->test.size(), open->test.size());
   for (const CatalogueEntry& entry : open->train) {
+    if (entry.use.wide_share + entry.use.tall_share == 0) continue;  // only measures
     EXPECT_TRUE(entry.path == "indoor_hololens_dvmvs" ||
                 entry.path.find("carnd") != std::string::npos)
         << entry.path << " is not known to be free";
@@ -128,6 +129,25 @@ class OwnPack : public DataSet {
     return load_training_data(options);
   }
 };
+
+// What other rooms get is not told by the ends of sequences that were trained on.
+TEST_F(OwnPack, NamedWithoutAShareMeasuresWhole) {
+  write_depth(root_ / "depth" / "000000.png", no_depth(48, 64));
+  const auto pack_with = [&](const std::string& share) {
+    DataOptions options;
+    options.catalogue = (root_ / "catalogue.toml").string();
+    write(options.catalogue, "root = \"" + root_.parent_path().string() +
+                                 "\"\n[[train]]\npath = \"" + root_.filename().string() +
+                                 "\"\ntall-share = " + share + "\n");
+    return load_training_data(options)->packs.at(0);
+  };
+  const Pack measured = pack_with("0");
+  EXPECT_TRUE(measured.train.empty());
+  EXPECT_EQ(measured.validation, std::vector<std::size_t>{0});
+  const Pack trained = pack_with("1");
+  EXPECT_EQ(trained.train, std::vector<std::size_t>{0});
+  EXPECT_TRUE(trained.validation.empty()) << "too short to be split";
+}
 
 TEST_F(OwnPack, LearnsFromItsDepthAndIsComparedWithItsTeacher) {
   write_depth(root_ / "depth" / "000000.png", cv::Mat_<std::uint16_t>(48, 64, std::uint16_t{3000}));
