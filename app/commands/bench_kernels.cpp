@@ -144,7 +144,12 @@ class Cases {
     const int pixels = block.height * block.width;
     block.input = values(product({pixels, block.channels}));
     block.expand = pack(block.channels, block.hidden, precision);
-    block.taps = values(product({9, block.hidden}));
+    if (precision != Precision::kFloat32 &&
+        kernels::native_precision(Precision::kBfloat16) == Precision::kBfloat16) {
+      block.filter = Precision::kBfloat16;
+    }
+    const std::span<float> taps = floats(product({9, block.hidden}));
+    block.taps = stored(kernels::pack_filter_taps(taps, block.filter));
     block.taps_bias = values(block.hidden);
     block.project = pack(block.hidden, block.channels, precision);
     block.output = values(product({pixels, block.channels}));

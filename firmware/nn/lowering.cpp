@@ -114,9 +114,8 @@ class Lowering {
   // ---- the layers ----
 
   // Of the 1x1 convolutions whose output, or whose block's, is layer_'s. The first block, at half
-  // the picture's size, shifts the depth of whole frames most where it projects; expanding it does
-  // not.
-  // At 1/32 bytes save little too, and at some pictures shift the whole frame by a tenth.
+  // the picture's size, shifts the depth of whole frames most. At 1/32 bytes save little, and at
+  // some pictures shift the whole frame by a tenth.
   Precision narrowest_of_1x1() const {
     if (2 * layer_.output.width == network_.width()) return Precision::kFloat32;
     if (32 * layer_.output.width == network_.width()) return Precision::kBfloat16;
@@ -238,12 +237,13 @@ class Lowering {
     args.output = output_;
     args.expanded = tensors_[static_cast<std::size_t>(filter.inputs[0].layer)].data();
     args.filtered = tensors_[static_cast<std::size_t>(source(0).layer)].data();
+    args.filter = weights_.filter_precision();
     const Precision narrowest = narrowest_of_1x1();
-    LCDM_RETURN_IF_ERROR(weights_.pack_matrix(expand, in.channels, args.expand,
-                                              std::max(narrowest, Precision::kBfloat16)));
-    if (args.expand.precision != Precision::kFloat32) {
-      args.filter = weights_.filter_precision();
-    }
+    // What only expands the first block shifts nothing in halves that need no range.
+    const Precision narrowest_expansion = std::max(narrowest, args.filter);
+    LCDM_RETURN_IF_ERROR(
+        weights_.pack_matrix(expand, in.channels, args.expand, narrowest_expansion));
+    if (args.expand.precision == Precision::kFloat32) args.filter = Precision::kFloat32;
     LCDM_RETURN_IF_ERROR(weights_.store_taps(filter.parameters[0], args.filter, args.taps));
     LCDM_RETURN_IF_ERROR(weights_.store(filter.parameters[1], args.taps_bias));
     LCDM_RETURN_IF_ERROR(weights_.pack_matrix(layer_, args.hidden, args.project, narrowest));

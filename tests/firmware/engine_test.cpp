@@ -83,11 +83,13 @@ TEST(Engine, GivesTheSameBytesOnEveryRunAndForAnyNumberOfThreads) {
 
 TEST(Engine, KeepingTensorsChangesNothing) {
   const ModelFile model = make_model();
-  Bench lean;
-  Bench keeping;
-  ASSERT_TRUE(lean.run(*prepare(model, {96, 64})));
-  ASSERT_TRUE(keeping.run(*prepare(model, {96, 64, 1, true})));
-  EXPECT_EQ(lean.metres, keeping.metres);
+  for (const Precision precision : kPrecisions) {
+    Bench lean;
+    Bench keeping;
+    ASSERT_TRUE(lean.run(*prepare(model, {96, 64, 1, false, precision})));
+    ASSERT_TRUE(keeping.run(*prepare(model, {96, 64, 1, true, precision})));
+    EXPECT_EQ(lean.metres, keeping.metres) << to_string(precision);
+  }
 }
 
 TEST(Engine, OutlivesItsModelFile) {

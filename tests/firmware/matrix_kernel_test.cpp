@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <gtest/gtest.h>
+#include <limits>
 
 #include "firmware/nn/kernels/matrix.h"
 #include "tests/firmware/image.h"
@@ -130,25 +131,51 @@ TEST(MatrixKernel, MultipliesPairsAndQuadsOfNarrowNumbers) {
 }
 
 // Beside narrow products activations are rough: x itself, a number that bfloat16 holds, activated.
+// One column goes through vectors of its own size, a vector of columns through whole ones.
+void check_rough_activations(int columns) {
+  SCOPED_TRACE(testing::Message() << columns << " columns");
+  std::vector<float> rows;
+  for (int i = -128; i <= 128; ++i) {
+    const auto x = static_cast<float>(i);
+    for (const float value : {x / 8, x * 8}) rows.insert(rows.end(), {value, 0});
+  }
+  const std::size_t count = rows.size() / 2;
+  std::vector<float> packed(packed_floats(2, columns, Precision::kBfloat16));
+  const PackedMatrix ones = pack_matrix(
+      2, columns, [](int, int) { return 1.0F; }, {}, packed, Precision::kBfloat16);
+  for (const Activation activation : {Activation::kSilu, Activation::kElu}) {
+    std::vector<float> out(count * static_cast<std::size_t>(columns));
+    multiply_rows({{rows.data()}, 1, 2, 2, static_cast<int>(count)}, ones,
+                  {out.data(), nullptr, columns, activation});
+    for (std::size_t i = 0; i < out.size(); ++i) {
+      const double x = rows[2 * (i / static_cast<std::size_t>(columns))];
+      const double want = activated(activation, x);
+      ASSERT_NEAR(out[i], want, 1e-4 + 5e-4 * std::fabs(want)) << "of " << x;
+    }
+  }
+}
+
 TEST(MatrixKernel, ActivatesWithinTheLastBitsOfHalves) {
   for_each_isa([] {
     if (support_of(Precision::kBfloat16) == Support::kNone) return;
-    std::vector<float> rows;
-    for (int i = -128; i <= 128; ++i) {
-      const auto x = static_cast<float>(i);
-      for (const float value : {x / 8, x * 8}) rows.insert(rows.end(), {value, 0});
-    }
-    const auto count = static_cast<int>(rows.size() / 2);
-    std::vector<float> packed(packed_floats(2, 1, Precision::kBfloat16));
-    const PackedMatrix one = pack_matrix(
-        2, 1, [](int, int) { return 1.0F; }, {}, packed, Precision::kBfloat16);
-    for (const Activation activation : {Activation::kSilu, Activation::kElu}) {
-      std::vector<float> out(rows.size() / 2);
-      multiply_rows({{rows.data()}, 1, 2, 2, count}, one, {out.data(), nullptr, 1, activation});
-      for (std::size_t i = 0; i < out.size(); ++i) {
-        const double want = activated(activation, static_cast<double>(rows[2 * i]));
-        ASSERT_NEAR(out[i], want, 1e-4 + 5e-4 * std::fabs(want)) << "of " << rows[2 * i];
-      }
+    check_rough_activations(1);
+    check_rough_activations(vector_lanes());
+  });
+}
+
+// So that a sum that overflowed shows as no depth, not as some.
+TEST(MatrixKernel, SiluOfNoNumberIsNone) {
+  for_each_isa([] {
+    const float row[] = {std::numeric_limits<float>::quiet_NaN(), 0};
+    for (const Precision precision : {Precision::kFloat32, Precision::kBfloat16}) {
+      if (support_of(precision) == Support::kNone) continue;
+      const int columns = vector_lanes();
+      std::vector<float> packed(packed_floats(2, columns, precision));
+      const PackedMatrix ones = pack_matrix(
+          2, columns, [](int, int) { return 1.0F; }, {}, packed, precision);
+      std::vector<float> out(static_cast<std::size_t>(columns));
+      multiply_rows({{row}, 1, 2, 2, 1}, ones, {out.data(), nullptr, columns, Activation::kSilu});
+      for (const float value : out) EXPECT_TRUE(std::isnan(value)) << to_string(precision);
     }
   });
 }

@@ -354,11 +354,14 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   const Buffers<Operand> b(t, scratch);
   const float scale = kScoreUnits<Operand> / std::sqrt(static_cast<float>(t.head_channels));
   float unit = pack_queries(t, scale, b);
-  if (t.first_of_head && !Operand::kScaled) {
-    b.of_head[Buffers<Operand>::kLongestKey] =
-        longest_square(t.keys, t.token_stride, t.tokens, t.head_channels);
+  bool small = false;
+  if constexpr (!Operand::kScaled) {
+    if (t.first_of_head) {
+      b.of_head[Buffers<Operand>::kLongestKey] =
+          longest_square(t.keys, t.token_stride, t.tokens, t.head_channels);
+    }
+    small = scores_are_small(t, b);
   }
-  const bool small = !Operand::kScaled && scores_are_small(t, b);
   float value_unit = 1;
   const int channel_words = words_of<Operand>(t.head_channels);
   Walk keys = {t.keys, t.token_stride, 1, channel_words};
@@ -374,10 +377,10 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   }
 
   FullVec inverse[kQueryVectors];
-  if (small) {
-    powers(t, keys, b, inverse);
-  } else {
+  if (!small) {
     compare_scores(t, keys, unit, b, inverse);
+  } else if constexpr (!Operand::kScaled) {
+    powers(t, keys, b, inverse);
   }
   if constexpr (Operand::kScaled) {
     for (FullVec& v : inverse) v = hn::Mul(v, hn::Set(d, value_unit));
@@ -443,7 +446,10 @@ void attend_range(const Attention& a, int begin, int end, float* scratch) {
   }
 }
 
-int query_tile() { return static_cast<int>(kQueries); }
+// Of Buffers, without keys and values.
+std::size_t tile_floats(std::size_t tokens, std::size_t head_channels) {
+  return (tokens + 2 * head_channels) * kQueries + Buffers<FloatOperand>::kOfHead;
+}
 
 }  // namespace HWY_NAMESPACE
 }  // namespace lcdm::kernels
@@ -454,7 +460,7 @@ namespace lcdm::kernels {
 
 HWY_EXPORT(tiles_of);
 HWY_EXPORT(attend_range);
-HWY_EXPORT(query_tile);
+HWY_EXPORT(tile_floats);
 
 int attention_items(const Attention& a) {
   return a.positions * a.heads * HWY_DYNAMIC_DISPATCH(tiles_of)(a.tokens);
@@ -463,10 +469,7 @@ int attention_items(const Attention& a) {
 std::size_t attention_scratch(const Attention& a) {
   const auto tokens = static_cast<std::size_t>(a.tokens);
   const auto head_channels = static_cast<std::size_t>(a.channels / a.heads);
-  const std::size_t rows = tokens + 2 * head_channels;  // of a tile's queries
-  constexpr std::size_t kOfHead = 3;
-  const std::size_t tile =
-      rows * static_cast<std::size_t>(HWY_DYNAMIC_DISPATCH(query_tile)()) + kOfHead;
+  const std::size_t tile = HWY_DYNAMIC_DISPATCH(tile_floats)(tokens, head_channels);
   if (a.precision == Precision::kFloat32) return tile;
   const auto per_word = static_cast<std::size_t>(numbers_per_word(a.precision));
   const auto words = [per_word](std::size_t count) { return (count + per_word - 1) / per_word; };

@@ -5,6 +5,7 @@
 #include <cstring>
 #include <type_traits>
 
+#include "firmware/base/check.h"
 #include "firmware/nn/kernels/matrix.h"
 #include "firmware/nn/kernels/words.h"
 
@@ -476,6 +477,7 @@ std::vector<float> pack_composed(std::span<const float> taps, int channels, Prec
 std::vector<float> pack_update_weights(std::span<const float> taps, int channels,
                                        Precision precision) {
   const auto count = static_cast<std::size_t>(channels);
+  LCDM_CHECK(precision == Precision::kFloat32 || count % 2 == 0);
   std::vector<float> out;
   for (std::size_t tap = 0; tap < taps.size(); tap += count) {
     const std::span<const float> of_tap = taps.subspan(tap, count);

@@ -48,10 +48,10 @@ class Strip {
     for (int y = begin; y < end; ++y) {
       const int top = y * b_.stride - 1;
       for (; loaded <= top + 2; ++loaded) expand_row(loaded);
-      if (b_.expand.precision == Precision::kFloat32) {
-        filter_row<false>(top);
-      } else {
+      if (kPairs || b_.expand.precision != Precision::kFloat32) {
         filter_row<true>(top);
+      } else if constexpr (!kPairs) {
+        filter_row<false>(top);
       }
       project_row(y);
     }
@@ -254,11 +254,11 @@ int InvertedResidual::window_words(int columns) const {
 std::vector<float> pack_filter_taps(std::span<const float> taps, Precision filter) {
   if (filter == Precision::kFloat32) return {taps.begin(), taps.end()};
   constexpr int kNone = 3;
-  constexpr int kPairs[][2] = {{kNone, 0}, {1, 2}, {0, 1}, {2, kNone}};  // as TapPair
+  constexpr int kTapsOf[][2] = {{kNone, 0}, {1, 2}, {0, 1}, {2, kNone}};  // as TapPair
   const std::size_t hidden = taps.size() / 9;
   std::vector<float> out;
   for (std::size_t row = 0; row < taps.size(); row += 3 * hidden) {
-    for (const auto& pair : kPairs) {
+    for (const auto& pair : kTapsOf) {
       for (std::size_t c = row; c < row + hidden; ++c) {
         const auto tap = [&](int k) {
           return k == kNone ? 0.0F : taps[c + static_cast<std::size_t>(k) * hidden];
