@@ -9,7 +9,8 @@ fail() { echo "FAIL  $*" >&2; failures=$((failures + 1)); }
 
 contents=$(dpkg-deb -c "$package" | awk '{print $6}')
 for file in usr/bin/lcdm usr/share/lcdm/lcdm-xs.safetensors \
-  usr/share/lcdm/lcdm-xxs.safetensors usr/share/lcdm/lcdm-xxs-open.safetensors usr/libexec/lcdm/usb-gadget \
+  usr/share/lcdm/lcdm-xxs.safetensors usr/share/lcdm/lcdm-xxs-open.safetensors \
+  usr/share/lcdm/lcdm-xs-open.safetensors usr/libexec/lcdm/usb-gadget \
   etc/lcdm/lcdm.toml lib/systemd/system/lcdm.service lib/systemd/system/lcdm-poweroff.path \
   lib/systemd/system/lcdm-usb.service lib/udev/rules.d/70-lcdm.rules usr/lib/sysusers.d/lcdm.conf \
   usr/lib/tmpfiles.d/lcdm.conf usr/lib/systemd/system.conf.d/lcdm-watchdog.conf \
