@@ -100,7 +100,7 @@ HWY_INLINE void accumulate(D d, const float* a, std::ptrdiff_t row_stride, std::
 template <Activation kActivation, bool kRough, int MR, int NV, class D>
 HWY_INLINE void finish_whole(D d, const RowOutput& o, int row, int column,
                              hn::Vec<D> (&acc)[MR][NV]) {
-  constexpr int kWidth = sizeof(hn::Vec<D>) / sizeof(float);
+  constexpr std::ptrdiff_t kWidth = sizeof(hn::Vec<D>) / sizeof(float);
   const std::ptrdiff_t at = row * o.stride + column;
   if (o.residual != nullptr) {
     const float* residual = o.residual + at;
@@ -153,7 +153,7 @@ HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns
 template <int MR, int NV, class D>
 HWY_INLINE void finish_pairs(D d, const RowOutput& o, int row, int column, int columns,
                              hn::Vec<D> (&acc)[MR][NV]) {
-  constexpr int kWidth = sizeof(hn::Vec<D>) / sizeof(float);
+  constexpr std::ptrdiff_t kWidth = sizeof(hn::Vec<D>) / sizeof(float);
   float* to = o.data + row / 2 * o.stride + column;
   LCDM_UNROLL for (int m = 0; m < MR; m += 2, to += o.stride) {
     LCDM_UNROLL for (int v = 0; v < NV; ++v) {
