@@ -100,7 +100,8 @@ class Engine {
   Result<std::span<const float>> run_network(std::span<const float> rgb) noexcept;
 
   // Output of the layer called `name` (NETWORK.md) in the last run, NHWC. kNotFound: no such
-  // layer; kInvalidInput: the engine was not prepared with keep_tensors.
+  // layer; kInvalidInput: the engine was not prepared with keep_tensors. Where the head's steps are
+  // in halves, "head.conv1" holds words of two pixels (kernels/head.h).
   Result<std::span<const float>> tensor(std::string_view name) const;
 
  private:

@@ -157,6 +157,20 @@ class Lowering {
     args.channels += in.channels;
   }
 
+  // A norm after the hidden layer needs that in floats.
+  Precision head_precision(const Layer& hidden) const {
+    if (hidden.stored) return Precision::kFloat32;
+    return weights_.head_precision(hidden.output.channels);
+  }
+
+  // Whether layer `index` is conv1(condition) of a head in halves, which all its steps read so.
+  bool is_read_in_pairs(int index) const {
+    return std::any_of(network_.layers().begin(), network_.layers().end(), [&](const Layer& layer) {
+      return layer.kind == LayerKind::kHeadHidden && layer.inputs[0].layer == index &&
+             head_precision(layer) != Precision::kFloat32;
+    });
+  }
+
   // All but the weights of the inputs that are not upsampled.
   Status make_conv(int index, kernels::Conv3x3& args) {
     const Layer& layer = network_.layer(index);
@@ -167,6 +181,7 @@ class Lowering {
     args.padding = layer.padding;
     args.activation = layer.activation;
     args.output = tensors_[static_cast<std::size_t>(index)].data();
+    args.paired = is_read_in_pairs(index);
     for (const Source& source : layer.inputs) {
       if (source.upsampling == Upsampling::kBilinear) {  // the first, if any
         const Shape& in = network_.layer(source.layer).output;
@@ -208,6 +223,7 @@ class Lowering {
       kernels::Conv3x3& conv = chain.convs[static_cast<std::size_t>(chain.count)];
       LCDM_RETURN_IF_ERROR(make_conv(index, conv));
       const Precision precision = precision_of_3x3(network_.layer(index), conv);
+      LCDM_CHECK(!conv.paired || precision == Precision::kBfloat16);  // as few channels have
       if (index == index_ && kernels::winograd_pays(conv, layer_.output.channels, precision)) {
         kernels::WinogradConv args{chain, conv, nullptr};
         return winograd(args);
@@ -347,7 +363,7 @@ class Lowering {
       args.step.width = hidden.output.width;
       args.step.channels = hidden.output.channels;
     } else {
-      args.precision = weights_.head_precision(hidden.output.channels);
+      args.precision = head_precision(hidden);
       LCDM_RETURN_IF_ERROR(make_head_step(hidden, args.precision, args.step));
       args.step.hidden = tensors_[static_cast<std::size_t>(source(0).layer)].data();
     }

@@ -1,11 +1,13 @@
 // The diffusion head and the way from logit to metres against the sums as they are written.
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <gtest/gtest.h>
 #include <utility>
 
 #include "firmware/nn/kernels/head.h"
 #include "firmware/nn/kernels/matrix.h"
+#include "firmware/nn/kernels/words.h"
 #include "tests/firmware/image.h"
 
 namespace lcdm::kernels {
@@ -111,6 +113,7 @@ TEST(HeadKernel, SharesTheConditionsConvolutionExactlyBordersIncluded) {
 
 // Whole numbers that bfloat16 holds exactly: what is left of its rounding is the hidden layer's.
 void make_whole(HeadCase& h) {
+  for (float& v : h.shared) v = std::round(v);
   for (float& v : h.composed) v = std::round(8 * v);
   for (float& v : h.taps) v = std::round(8 * v);
   for (float& v : h.state_values) v = std::round(8 * v);
@@ -135,6 +138,22 @@ Image hidden_of(const HeadCase& h) {
                           h.composed[static_cast<std::size_t>((place * 25 + t) * s.channels + c)]);
         }
         out.values[at] = std::max(0.0, sum);
+      }
+    }
+  }
+  return out;
+}
+
+// Each row's pixels two by two.
+std::vector<float> in_pairs(const std::vector<float>& shared, int width, int channels) {
+  const auto pitch = static_cast<std::size_t>(channels);
+  const std::size_t row_floats = static_cast<std::size_t>(width) * pitch;
+  std::vector<float> out;
+  for (std::size_t row = 0; row < shared.size(); row += row_floats) {
+    for (std::size_t pixel = 0; pixel < row_floats; pixel += 2 * pitch) {
+      for (std::size_t c = pixel; c < pixel + pitch; ++c) {
+        const float second = c + pitch < row_floats ? shared[row + c + pitch] : 0.0F;
+        out.push_back(std::bit_cast<float>(bfloat16_pair(shared[row + c], second)));
       }
     }
   }
@@ -168,6 +187,8 @@ void expect_update(Random& random, const UpdateCase& c) {
   std::vector<float> next(h.state_values.size());
   std::vector<float> seen(h.hidden.values.size(), kUntouched);
   h.step.hidden = seen.data();
+  const auto pairs = in_pairs(h.shared, c.width, c.channels);
+  if (narrow) h.step.shared = pairs.data();
   HeadUpdate update{nullptr, h.step, c.precision,           weights.data(), 0.25F,
                     1.5F,    -0.5F,  h.state_values.data(), next.data()};
   std::vector<float> scratch(head_update_scratch(update));

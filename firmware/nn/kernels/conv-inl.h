@@ -59,7 +59,7 @@ class ConvRows {
     whole_ = ring_ + 3 * row_words_;
     if (conv.upsampled.data == nullptr) return;
     share_ = whole_ + conv.whole_floats();
-    upsampled_.begin(conv.upsampled, first, share_ + out_floats());
+    upsampled_.begin(conv.upsampled, first, share_ + conv_->output_row());
   }
 
   // Row y, [width / stride, columns].
@@ -73,17 +73,14 @@ class ConvRows {
     } else {
       const int top = y * conv_->stride - 1;
       for (; loaded_ <= top + 2; ++loaded_) load(loaded_);
-      multiply(top, {out, share_, conv_->weights.columns, conv_->activation});
+      multiply(top, {out, share_, conv_->weights.columns, conv_->activation, conv_->paired});
     }
     if (conv_->output == nullptr || !own_.has(y)) return;
-    float* kept = conv_->output + static_cast<std::size_t>(y) * out_floats();
-    if (kept != out) std::memcpy(kept, out, out_floats() * sizeof(float));
+    float* kept = conv_->output + static_cast<std::size_t>(y) * conv_->output_row();
+    if (kept != out) std::memcpy(kept, out, conv_->output_row() * sizeof(float));
   }
 
  private:
-  std::size_t out_floats() const {
-    return static_cast<std::size_t>(conv_->width / conv_->stride) * conv_->weights.columns;
-  }
   static std::size_t index(int row) { return static_cast<std::size_t>((row + 1) % 3); }
   float* slot(int row) const { return ring_ + index(row) * row_words_; }
   const RowRange& range(int row) const { return ranges_[index(row)]; }

@@ -17,9 +17,9 @@ void conv_rows(const ConvChain& chain, int begin, int end, float* scratch) {
   ChainRows rows;
   rows.begin(chain, begin, {begin, end}, scratch);
   const Conv3x3& last = chain.convs[static_cast<std::size_t>(chain.count) - 1];
-  const std::size_t pitch =
-      static_cast<std::size_t>(last.width / last.stride) * last.weights.columns;
-  for (int y = begin; y < end; ++y) rows.row(y, last.output + static_cast<std::size_t>(y) * pitch);
+  for (int y = begin; y < end; ++y) {
+    rows.row(y, last.output + static_cast<std::size_t>(y) * last.output_row());
+  }
 }
 
 }  // namespace HWY_NAMESPACE
@@ -36,6 +36,12 @@ std::size_t UpsampledShare::scratch_floats() const {
   const std::size_t products =
       static_cast<std::size_t>(width) * static_cast<std::size_t>(taps.columns);
   return 3 * products + products / 3;
+}
+
+std::size_t Conv3x3::output_row() const {
+  const int pixels = width / stride;
+  return static_cast<std::size_t>(paired ? (pixels + 1) / 2 : pixels) *
+         static_cast<std::size_t>(weights.columns);
 }
 
 std::size_t Conv3x3::row_words() const {

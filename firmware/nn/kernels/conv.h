@@ -43,7 +43,10 @@ struct Conv3x3 {
   PackedMatrix weights;  // k = (3 * ky + kx) * channels + c
   Activation activation = Activation::kNone;
   float* output = nullptr;  // [height / stride, width / stride, weights.columns]
+  // The output's pixels two by two, as RowOutput says; of the last of a chain, in one product.
+  bool paired = false;
 
+  std::size_t output_row() const;  // floats, or words of pairs
   // A padded input row: as words of the weights' precision, and as floats before it is narrow.
   std::size_t row_words() const;
   std::size_t whole_floats() const;    // 0 where it stays so

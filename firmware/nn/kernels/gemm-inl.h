@@ -149,27 +149,28 @@ HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns
   }
 }
 
-// SiLU and stores of rows in pairs.
-template <int MR, int NV, class D>
+// The same of rows in pairs.
+template <Activation kActivation, int MR, int NV, class D>
 HWY_INLINE void finish_pairs(D d, const RowOutput& o, int row, int column, int columns,
                              hn::Vec<D> (&acc)[MR][NV]) {
   constexpr std::ptrdiff_t kWidth = sizeof(hn::Vec<D>) / sizeof(float);
+  const auto words = [&](int m, int v) HWY_ATTR {
+    const auto first = activate<kActivation, true>(d, acc[m][v]);
+    auto second = hn::Zero(d);
+    if (m + 1 < MR) second = activate<kActivation, true>(d, acc[m + 1][v]);
+    return Bfloat16Operand::pair(d, first, second);
+  };
   float* to = o.data + row / 2 * o.stride + column;
-  LCDM_UNROLL for (int m = 0; m < MR; m += 2, to += o.stride) {
-    LCDM_UNROLL for (int v = 0; v < NV; ++v) {
-      const auto first = activate<Activation::kSilu, true>(d, acc[m][v]);
-      auto second = hn::Zero(d);
-      if (m + 1 < MR) second = activate<Activation::kSilu, true>(d, acc[m + 1][v]);
-      const auto words = Bfloat16Operand::pair(d, first, second);
-      const int left = columns - v * kWidth;
-      if (left >= kWidth) {
-        hn::StoreU(words, d, to + v * kWidth);
-      } else {
-        HWY_ALIGN float part[kWidth];
-        hn::Store(words, d, part);
-        std::memcpy(to + v * kWidth, part, static_cast<std::size_t>(left) * sizeof(float));
-      }
+  if (columns >= NV * kWidth) {
+    LCDM_UNROLL for (int m = 0; m < MR; m += 2, to += o.stride) {
+      LCDM_UNROLL for (int v = 0; v < NV; ++v) hn::StoreU(words(m, v), d, to + v * kWidth);
     }
+    return;
+  }
+  HWY_ALIGN float part[NV * kWidth];
+  LCDM_UNROLL for (int m = 0; m < MR; m += 2, to += o.stride) {
+    LCDM_UNROLL for (int v = 0; v < NV; ++v) hn::Store(words(m, v), d, part + v * kWidth);
+    std::memcpy(to, part, static_cast<std::size_t>(columns) * sizeof(float));
   }
 }
 
@@ -271,6 +272,15 @@ HWY_INLINE void multiply_runs(D d, const Words& a, int row, const Panel& panel,
   }
 }
 
+// What is asked for in pairs: an inverted residual's expansion, and conv1 of the head's condition.
+// Tiles that only might be took 6 % of a frame.
+template <class Operand, int NV>
+constexpr bool can_be_paired(Activation activation) {
+  if (Operand::kPrecision == Precision::kFloat32) return false;
+  if (activation == Activation::kSilu) return true;
+  return activation == Activation::kNone && Operand::kPrecision == Precision::kBfloat16 && NV == 1;
+}
+
 // One tile of MR rows of one panel.
 template <class Operand, int MR, int NV, class D>
 HWY_NOINLINE void tile(D d, const Words& a, int row, const Panel& panel, const RowOutput& o) {
@@ -278,13 +288,12 @@ HWY_NOINLINE void tile(D d, const Words& a, int row, const Panel& panel, const R
   multiply_runs<Operand, MR, NV>(d, a, row, panel, acc);
   with_activation(o.activation, [&](auto kind) HWY_ATTR {
     constexpr bool kRough = Operand::kPrecision != Precision::kFloat32;
-    if constexpr (kRough && decltype(kind)::value == Activation::kSilu) {
-      if (o.paired) {
-        return finish_pairs(d, o, row, panel.column, panel.matrix.columns - panel.column, acc);
-      }
+    constexpr Activation kKind = decltype(kind)::value;
+    const int columns = panel.matrix.columns - panel.column;
+    if constexpr (can_be_paired<Operand, NV>(kKind)) {
+      if (o.paired) return finish_pairs<kKind>(d, o, row, panel.column, columns, acc);
     }
-    finish<decltype(kind)::value, kRough, MR, NV>(d, o, row, panel.column,
-                                                  panel.matrix.columns - panel.column, acc);
+    finish<kKind, kRough>(d, o, row, panel.column, columns, acc);
   });
 }
 

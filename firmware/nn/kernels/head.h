@@ -25,9 +25,11 @@ constexpr bool head_tap_sees(std::size_t place, std::size_t tap) {
 
 // What a sampler step's hidden layer is made of. Borrowed pointers; C = channels.
 struct HeadStep {
-  const float* shared = nullptr;  // conv1(condition) without bias, [height, width, C]
-  const float* state = nullptr;   // [height, width]; null: zero everywhere
-  int height = 0;                 // at least 2, as the width
+  // conv1(condition) without bias, [height, width, C]; in halves each row's pixels two by two, as
+  // RowOutput says.
+  const float* shared = nullptr;
+  const float* state = nullptr;  // [height, width]; null: zero everywhere
+  int height = 0;                // at least 2, as the width
   int width = 0;
   int channels = 0;
   const float* scale = nullptr;     // [C]: the folded norm's factor

@@ -177,6 +177,9 @@ class Strip {
     const float* const rows[3] = {slot(top), slot(top + 1), slot(top + 2)};
     const auto columns = static_cast<std::size_t>(columns_);
     std::size_t x = 0;
+    if constexpr (kPairs && HWY_TARGET == HWY_AVX3) {
+      for (; x + 8 <= columns; x += 8) filter_pixels<kRough, kStride, 8>(rows, x);
+    }
     for (; x + kPixels <= columns; x += kPixels) filter_pixels<kRough, kStride, kPixels>(rows, x);
     for (; x + 2 <= columns; x += 2) filter_pixels<kRough, kStride, 2>(rows, x);
     if (x < columns) filter_pixels<kRough, kStride, 1>(rows, x);

@@ -114,7 +114,8 @@ struct RowOutput {
   std::ptrdiff_t stride = 0;
   Activation activation = Activation::kNone;
   // Rows two by two as words of bfloat16, the first of them in the lower half, a missing second one
-  // 0; the stride is from pair to pair. Of narrow products with SiLU and no residual.
+  // 0; the stride is from pair to pair. Without a residual; of narrow products with SiLU, and of
+  // halves of no more than a vector of columns without activation.
   bool paired = false;
 };
 
