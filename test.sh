@@ -67,6 +67,18 @@ run_subset() {
   local program
   for program in "${sanitizer_subset[@]}"; do "build/$1/bin/$program" --gtest_brief=1 || return; done
 }
+# The kernels of an instruction set that `asan` leaves out.
+avx512_programs=(kernel_tests engine_reference_tests)
+build_avx512() {
+  cmake --preset asan-avx512 >/dev/null &&
+    cmake --build --preset asan-avx512 --target "${avx512_programs[@]}"
+}
+run_avx512() {
+  local program
+  for program in "${avx512_programs[@]}"; do
+    "build/asan-avx512/bin/$program" --gtest_brief=1 || return
+  done
+}
 # Of what is built already.
 make_package() {
   package=$(./package.sh --preset trainer | tail -1) && echo "$package"
@@ -131,6 +143,10 @@ if $all; then
   stage 'soak at real speed, long' run_soak 600
   stage 'address sanitizer build' build asan
   stage 'address sanitizer tests' run_tests asan -LE browser
+  if grep -q avx512bw /proc/cpuinfo; then
+    stage 'address sanitizer, AVX-512, build' build_avx512
+    stage 'address sanitizer, AVX-512, tests' run_avx512
+  fi
   stage 'thread sanitizer build' build tsan
   stage 'thread sanitizer tests' run_tests tsan -LE browser
   stage 'clang-tidy' check_tidy
