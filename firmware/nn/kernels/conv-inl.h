@@ -58,8 +58,9 @@ class ConvRows {
     loaded_ = first * conv.stride - 1;
     whole_ = ring_ + 3 * row_words_;
     if (conv.upsampled.data == nullptr) return;
-    share_ = whole_ + conv.whole_floats();
-    upsampled_.begin(conv.upsampled, first, share_ + conv_->output_row());
+    pair_ = -1;
+    shares_ = whole_ + conv.whole_floats();
+    upsampled_.begin(conv.upsampled, first, shares_ + 2 * conv_->output_row());
   }
 
   // Row y, [width / stride, columns].
@@ -67,13 +68,13 @@ class ConvRows {
   // In a padded row the three taps of a kernel row lie side by side: so one output pixel's input is
   // three runs of 3 * channels floats, and the convolution is a product with those rows.
   HWY_NOINLINE void row(int y, float* out) {
-    if (share_ != nullptr) upsampled_.row(y, share_);
+    const float* share = shares_ != nullptr ? share_of(y) : nullptr;
     if (conv_->input_count == 0) {
-      finish_row(*conv_, share_, out);
+      finish_row(*conv_, share, out);
     } else {
       const int top = y * conv_->stride - 1;
       for (; loaded_ <= top + 2; ++loaded_) load(loaded_);
-      multiply(top, {out, share_, conv_->weights.columns, conv_->activation, conv_->paired});
+      multiply(top, {out, share, conv_->weights.columns, conv_->activation, conv_->paired});
     }
     if (conv_->output == nullptr || !own_.has(y)) return;
     float* kept = conv_->output + static_cast<std::size_t>(y) * conv_->output_row();
@@ -84,6 +85,13 @@ class ConvRows {
   static std::size_t index(int row) { return static_cast<std::size_t>((row + 1) % 3); }
   float* slot(int row) const { return ring_ + index(row) * row_words_; }
   const RowRange& range(int row) const { return ranges_[index(row)]; }
+
+  HWY_INLINE const float* share_of(int y) {
+    float* odd = shares_ + conv_->output_row();
+    if (y / 2 != pair_) upsampled_.pair(y / 2, shares_, odd);
+    pair_ = y / 2;
+    return y % 2 == 0 ? shares_ : odd;
+  }
 
   HWY_INLINE void multiply(int top, const RowOutput& out) const {
     const int pixel = conv_->channels / numbers_per_word(conv_->weights.precision);
@@ -124,11 +132,12 @@ class ConvRows {
   ConvRows* before_ = nullptr;
   OwnRows own_;
   std::size_t row_words_ = 0;
-  float* ring_ = nullptr;   // three padded input rows, words of the weights' precision
-  RowRange ranges_[3];      // of these, where they are narrow
-  float* whole_ = nullptr;  // one such row of floats, before it is made narrow
-  int loaded_ = 0;          // the next one to load
-  float* share_ = nullptr;  // a row of the upsampled share; null: there is none
+  float* ring_ = nullptr;    // three padded input rows, words of the weights' precision
+  RowRange ranges_[3];       // of these, where they are narrow
+  float* whole_ = nullptr;   // one such row of floats, before it is made narrow
+  int loaded_ = 0;           // the next one to load
+  float* shares_ = nullptr;  // two rows of the upsampled share; null: there is none
+  int pair_ = -1;            // which two of its rows are there
   UpsampledRows upsampled_;
 };
 

@@ -33,9 +33,7 @@ HWY_EXPORT(conv_rows);
 
 std::size_t UpsampledShare::scratch_floats() const {
   if (data == nullptr) return 0;
-  const std::size_t products =
-      static_cast<std::size_t>(width) * static_cast<std::size_t>(taps.columns);
-  return 3 * products + products / 3;
+  return 3 * static_cast<std::size_t>(width) * static_cast<std::size_t>(taps.columns);
 }
 
 std::size_t Conv3x3::output_row() const {
@@ -57,9 +55,9 @@ std::size_t Conv3x3::whole_floats() const {
 std::size_t Conv3x3::scratch_floats() const {
   const std::size_t ring = 3 * row_words() + whole_floats();
   if (upsampled.data == nullptr) return ring;
-  const std::size_t share_row =
-      static_cast<std::size_t>(width) * static_cast<std::size_t>(weights.columns);
-  return ring + upsampled.scratch_floats() + share_row;
+  const std::size_t share_rows =
+      2 * static_cast<std::size_t>(width) * static_cast<std::size_t>(weights.columns);
+  return ring + upsampled.scratch_floats() + share_rows;
 }
 
 std::size_t conv3x3_scratch(const ConvChain& chain) {

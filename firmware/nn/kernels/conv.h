@@ -27,7 +27,7 @@ struct UpsampledShare {
   int channels = 0;
   PackedMatrix taps;  // depth channels; column (3 * ky + kx) * columns of the convolution + n
 
-  std::size_t scratch_floats() const;  // three rows of products and a row of vertical sums
+  std::size_t scratch_floats() const;  // three rows of products
 };
 
 // A convolution with all it reads and writes; borrowed pointers.

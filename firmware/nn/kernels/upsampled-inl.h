@@ -41,25 +41,76 @@ HWY_INLINE TapWeights tap_weights(int at, int size) {
   return weights;
 }
 
-// Rows of the upsampled share, in order. Scratch: UpsampledShare::scratch_floats.
+// What the three taps of a direction give at one low-resolution place.
+template <class V>
+struct OfTaps {
+  V tap[3];
+};
+
+// What both upsampled places over one low-resolution place get.
+template <class V>
+struct Doubled {
+  V first;
+  V second;
+};
+
+// From the places before it, there and after it: away from the borders.
+template <class D, class V = hn::Vec<D>>
+HWY_INLINE Doubled<V> doubled(D d, const OfTaps<V>& before, const OfTaps<V>& here,
+                              const OfTaps<V>& after) {
+  const V most = hn::Set(d, 0.75F);
+  const V least = hn::Set(d, 0.25F);
+  const V both = hn::Add(here.tap[1], before.tap[0]);
+  const V near_first = hn::Add(both, here.tap[2]);
+  const V far_first = hn::Add(hn::Add(before.tap[1], here.tap[0]), after.tap[2]);
+  const V near_second = hn::Add(hn::Add(here.tap[0], here.tap[1]), after.tap[2]);
+  const V far_second = hn::Add(hn::Add(after.tap[1], here.tap[2]), before.tap[0]);
+  return {hn::MulAdd(most, near_first, hn::Mul(least, far_first)),
+          hn::MulAdd(most, near_second, hn::Mul(least, far_second))};
+}
+
+// The same anywhere: place i of `size`. What is beyond the border has no weight, but is a number.
+template <class D, class V = hn::Vec<D>>
+HWY_NOINLINE Doubled<V> doubled_at(D d, int i, int size, const OfTaps<V>& before,
+                                   const OfTaps<V>& here, const OfTaps<V>& after) {
+  const OfTaps<V>* const places[3] = {&before, &here, &after};
+  const auto sum = [&](const TapWeights& weights) HWY_ATTR {
+    V out = hn::Zero(d);
+    for (std::size_t tap = 0; tap < 3; ++tap) {
+      for (std::size_t near = 0; near < 3; ++near) {
+        out = hn::MulAdd(hn::Set(d, weights.of[tap][near]), places[near]->tap[tap], out);
+      }
+    }
+    return out;
+  };
+  return {sum(tap_weights(2 * i, size)), sum(tap_weights(2 * i + 1, size))};
+}
+
+// Rows of the upsampled share, two by two and in order: what they are made of is read once for
+// both. Scratch: UpsampledShare::scratch_floats.
 class UpsampledRows {
  public:
-  // `first` is the first row that will be asked for.
+  // Row `first` is in the first pair that will be asked for.
   HWY_INLINE void begin(const UpsampledShare& share, int first, float* scratch) {
     s_ = share;
     columns_ = static_cast<std::size_t>(share.taps.columns) / 9;
     ring_ = scratch;
-    sums_ = ring_ + 3 * row_floats();
     next_ = first / 2 - 1;
   }
 
-  // Output row y, [2 * width, columns], into `out`.
-  HWY_INLINE void row(int y, float* out) {
-    for (const int last = std::min(y / 2 + 1, s_.height - 1); next_ <= last; ++next_) {
+  // Output rows 2i and 2i + 1, [2 * width, columns] each.
+  HWY_INLINE void pair(int i, float* even, float* odd) {
+    for (const int last = std::min(i + 1, s_.height - 1); next_ <= last; ++next_) {
       if (next_ >= 0) convolve(next_);
     }
-    add_vertically(y);
-    add_horizontally(out);
+    const bool border = i == 0 || i + 1 == s_.height;
+    for_channels(columns_, [&](auto d, std::size_t c) HWY_ATTR {
+      if (border) {
+        columns<true>(d, i, even + c, odd + c, c);
+      } else {
+        columns<false>(d, i, even + c, odd + c, c);
+      }
+    });
   }
 
  private:
@@ -79,91 +130,64 @@ class UpsampledRows {
     multiply_rows(pixels, s_.taps, {slot(row), nullptr, s_.taps.columns, Activation::kNone});
   }
 
-  // sums_[x][tap column][c]: the taps' rows with their weights.
-  HWY_INLINE void add_vertically(int y) {
-    struct Term {
-      const float* from;
-      float weight;
+  // What the three tap columns of both rows give at one place.
+  template <class V>
+  struct BothRows {
+    OfTaps<V> even;
+    OfTaps<V> odd;
+  };
+
+  // Of place x and a vector of columns from c on.
+  template <bool kBorder, class D, class V = hn::Vec<D>>
+  HWY_INLINE BothRows<V> of_place(D d, int i, std::size_t x, std::size_t c) const {
+    const auto place = [&](int row) {
+      return slot(std::clamp(row, 0, s_.height - 1)) + x * 9 * columns_ + c;
     };
-    Term terms[6];
-    int count = 0;
-    const TapWeights weights = tap_weights(y, s_.height);
-    const std::size_t pitch = 3 * columns_;
-    for (int tap = 0; tap < 3; ++tap) {
-      for (int near = 0; near < 3; ++near) {
-        const float weight = weights.of[tap][near];
-        if (weight > 0) terms[count++] = {slot(y / 2 + near - 1) + tap * pitch, weight};
-      }
+    const float* const from[3] = {place(i - 1), place(i), place(i + 1)};
+    BothRows<V> out;
+    LCDM_UNROLL for (std::size_t kx = 0; kx < 3; ++kx) {
+      const auto of_row = [&](std::size_t near) HWY_ATTR {
+        const float* tap = from[near] + kx * columns_;
+        return OfTaps<V>{hn::LoadU(d, tap), hn::LoadU(d, tap + 3 * columns_),
+                         hn::LoadU(d, tap + 6 * columns_)};
+      };
+      const OfTaps<V> above = of_row(0);
+      const OfTaps<V> here = of_row(1);
+      const OfTaps<V> below = of_row(2);
+      const Doubled<V> rows = kBorder ? doubled_at(d, i, s_.height, above, here, below)
+                                      : doubled(d, above, here, below);
+      out.even.tap[kx] = rows.first;
+      out.odd.tap[kx] = rows.second;
     }
-    for (; count < 6; ++count) terms[count] = {terms[0].from, 0.0F};
+    return out;
+  }
+
+  // All pixels of both rows, a vector of columns from c on.
+  template <bool kBorder, class D, class V = hn::Vec<D>>
+  HWY_INLINE void columns(D d, int i, float* even, float* odd, std::size_t c) const {
+    BothRows<V> here = of_place<kBorder>(d, i, 0, c);
+    BothRows<V> left = here;
     for (std::size_t x = 0; x < width(); ++x) {
-      for_channels(pitch, [&](auto d, std::size_t c) HWY_ATTR {
-        const std::size_t at = 3 * x * pitch + c;
-        auto sum = hn::Mul(hn::Set(d, terms[0].weight), hn::LoadU(d, terms[0].from + at));
-        LCDM_UNROLL for (int t = 1; t < 6; ++t) {
-          sum = hn::MulAdd(hn::Set(d, terms[t].weight), hn::LoadU(d, terms[t].from + at), sum);
-        }
-        hn::StoreU(sum, d, sums_ + x * pitch + c);
-      });
+      const bool last = x + 1 == width();
+      const BothRows<V> right = last ? here : of_place<kBorder>(d, i, x + 1, c);
+      const auto store = [&](const OfTaps<V>& before, const OfTaps<V>& at, const OfTaps<V>& after,
+                             float* out) HWY_ATTR {
+        const Doubled<V> pixels =
+            x == 0 || last ? doubled_at(d, static_cast<int>(x), s_.width, before, at, after)
+                           : doubled(d, before, at, after);
+        hn::StoreU(pixels.first, d, out + 2 * x * columns_);
+        hn::StoreU(pixels.second, d, out + (2 * x + 1) * columns_);
+      };
+      store(left.even, here.even, right.even, even);
+      store(left.odd, here.odd, right.odd, odd);
+      left = here;
+      here = right;
     }
-  }
-
-  HWY_INLINE void add_horizontally(float* out) {
-    for (std::size_t x = 0; x < width(); ++x) {
-      if (x == 0 || x + 1 == width()) {
-        border_pixel(2 * x, out);
-        border_pixel(2 * x + 1, out);
-      } else {
-        pixel_pair(x, out + 2 * x * columns_);
-      }
-    }
-  }
-
-  HWY_INLINE void border_pixel(std::size_t x, float* out) {
-    const TapWeights weights = tap_weights(static_cast<int>(x), s_.width);
-    for_channels(columns_, [&](auto d, std::size_t c) HWY_ATTR {
-      auto sum = hn::Zero(d);
-      for (std::size_t tap = 0; tap < 3; ++tap) {
-        for (std::size_t near = 0; near < 3; ++near) {
-          const float weight = weights.of[tap][near];
-          if (weight == 0) continue;
-          const float* from = sums_ + ((x / 2 + near - 1) * 3 + tap) * columns_ + c;
-          sum = hn::MulAdd(hn::Set(d, weight), hn::LoadU(d, from), sum);
-        }
-      }
-      hn::StoreU(sum, d, out + x * columns_ + c);
-    });
-  }
-
-  // Both output pixels over low-resolution column x, away from the borders.
-  HWY_INLINE void pixel_pair(std::size_t x, float* out) {
-    const std::size_t n = columns_;
-    for_channels(n, [&](auto d, std::size_t c) HWY_ATTR {
-      const auto most = hn::Set(d, 0.75F);
-      const auto least = hn::Set(d, 0.25F);
-      const float* here = sums_ + 3 * x * n + c;
-      const float* left = here - 3 * n;
-      const float* right = here + 3 * n;
-      const auto here0 = hn::LoadU(d, here);
-      const auto here1 = hn::LoadU(d, here + n);
-      const auto here2 = hn::LoadU(d, here + 2 * n);
-      const auto left0 = hn::LoadU(d, left);
-      const auto right2 = hn::LoadU(d, right + 2 * n);
-      auto even = hn::MulAdd(most, left0, hn::Mul(least, hn::LoadU(d, left + n)));
-      even = hn::MulAdd(least, hn::Add(here0, right2), even);
-      even = hn::MulAdd(most, hn::Add(here1, here2), even);
-      auto odd = hn::MulAdd(most, right2, hn::Mul(least, hn::LoadU(d, right + n)));
-      odd = hn::MulAdd(least, hn::Add(here2, left0), odd);
-      odd = hn::MulAdd(most, hn::Add(here0, here1), odd);
-      hn::StoreU(even, d, out + c);
-      hn::StoreU(odd, d, out + n + c);
-    });
   }
 
   UpsampledShare s_;
   std::size_t columns_ = 0;  // of the convolution
   float* ring_ = nullptr;    // three rows of products
-  float* sums_ = nullptr;    // [width, 3, columns]
   int next_ = 0;             // low-resolution row to convolve next
 };
 

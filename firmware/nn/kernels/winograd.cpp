@@ -94,8 +94,10 @@ class Batch {
     const std::size_t count_rows = kTile * strips + 2;
     for (std::size_t i = kept; i < count_rows; ++i) load(y - 1 + static_cast<int>(i), i);
     loaded_ = y + static_cast<int>(kTile * strips) + 1;
-    for (int row = y; row < end && conv_.upsampled.data != nullptr; ++row) {
-      upsampled_.row(row, shares_ + static_cast<std::size_t>(row - y) * out_floats());
+    float* share = shares_;
+    for (int row = y; row < end && conv_.upsampled.data != nullptr; row += 2) {
+      upsampled_.pair(row / 2, share, share + out_floats());
+      share += 2 * out_floats();
     }
     for (std::size_t s = 0; s < strips; ++s) {
       for (std::size_t t = 0; t < across_; ++t) take_apart(s, t);
