@@ -60,8 +60,7 @@ HWY_INLINE Doubled<V> doubled(D d, const OfTaps<V>& before, const OfTaps<V>& her
                               const OfTaps<V>& after) {
   const V most = hn::Set(d, 0.75F);
   const V least = hn::Set(d, 0.25F);
-  const V both = hn::Add(here.tap[1], before.tap[0]);
-  const V near_first = hn::Add(both, here.tap[2]);
+  const V near_first = hn::Add(hn::Add(before.tap[0], here.tap[1]), here.tap[2]);
   const V far_first = hn::Add(hn::Add(before.tap[1], here.tap[0]), after.tap[2]);
   const V near_second = hn::Add(hn::Add(here.tap[0], here.tap[1]), after.tap[2]);
   const V far_second = hn::Add(hn::Add(after.tap[1], here.tap[2]), before.tap[0]);
@@ -144,8 +143,7 @@ class UpsampledRows {
       return slot(std::clamp(row, 0, s_.height - 1)) + x * 9 * columns_ + c;
     };
     const float* const from[3] = {place(i - 1), place(i), place(i + 1)};
-    BothRows<V> out;
-    LCDM_UNROLL for (std::size_t kx = 0; kx < 3; ++kx) {
+    const auto column = [&](std::size_t kx) HWY_ATTR {
       const auto of_row = [&](std::size_t near) HWY_ATTR {
         const float* tap = from[near] + kx * columns_;
         return OfTaps<V>{hn::LoadU(d, tap), hn::LoadU(d, tap + 3 * columns_),
@@ -154,12 +152,14 @@ class UpsampledRows {
       const OfTaps<V> above = of_row(0);
       const OfTaps<V> here = of_row(1);
       const OfTaps<V> below = of_row(2);
-      const Doubled<V> rows = kBorder ? doubled_at(d, i, s_.height, above, here, below)
-                                      : doubled(d, above, here, below);
-      out.even.tap[kx] = rows.first;
-      out.odd.tap[kx] = rows.second;
-    }
-    return out;
+      return kBorder ? doubled_at(d, i, s_.height, above, here, below)
+                     : doubled(d, above, here, below);
+    };
+    const Doubled<V> first = column(0);
+    const Doubled<V> second = column(1);
+    const Doubled<V> third = column(2);
+    return {{{first.first, second.first, third.first}},
+            {{first.second, second.second, third.second}}};
   }
 
   // All pixels of both rows, a vector of columns from c on.
