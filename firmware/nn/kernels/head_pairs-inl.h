@@ -22,8 +22,8 @@ HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
 
-// As the floats, where one pixel's channels are one vector: twice the floats'
-// multiply-adds in an instruction, and half the bytes of the hidden layer.
+// As the floats, where one pixel's channels are one vector: twice the multiply-adds in an
+// instruction, and half the bytes of the hidden layer and of what it is made of.
 class HeadPairs {
  public:
   using Operand = Bfloat16Operand;
