@@ -171,6 +171,14 @@ class Lowering {
     });
   }
 
+  // What RowOutput asks of rows in pairs; conv1 of a head in halves has it all.
+  static bool comes_in_pairs(const Layer& layer, const kernels::Conv3x3& conv,
+                             Precision precision) {
+    return precision == Precision::kBfloat16 && conv.upsampled.data == nullptr &&
+           layer.activation == Activation::kNone &&
+           layer.output.channels <= kernels::vector_lanes();
+  }
+
   // All but the weights of the inputs that are not upsampled.
   Status make_conv(int index, kernels::Conv3x3& args) {
     const Layer& layer = network_.layer(index);
@@ -223,7 +231,7 @@ class Lowering {
       kernels::Conv3x3& conv = chain.convs[static_cast<std::size_t>(chain.count)];
       LCDM_RETURN_IF_ERROR(make_conv(index, conv));
       const Precision precision = precision_of_3x3(network_.layer(index), conv);
-      LCDM_CHECK(!conv.paired || precision == Precision::kBfloat16);  // as few channels have
+      LCDM_CHECK(!conv.paired || comes_in_pairs(network_.layer(index), conv, precision));
       if (index == index_ && kernels::winograd_pays(conv, layer_.output.channels, precision)) {
         kernels::WinogradConv args{chain, conv, nullptr};
         return winograd(args);

@@ -478,5 +478,57 @@ TEST(Conv3x3Kernel, ASliceOfAChainStoresItsOwnRowsAlone) {
   });
 }
 
+// An upsampled share alone, in up to three slices, each with nothing of another's in its scratch.
+void check_every_cut(Random& random, int low_height, int low_width) {
+  SCOPED_TRACE(testing::Message() << low_width << "x" << low_height);
+  constexpr int kChannels = 8;
+  constexpr int kColumns = 20;
+  const Image low = make_image(random, low_height, low_width, kChannels);
+  const auto values = to_floats(low.values);
+  const Filter filter(random, kColumns, kChannels, 3);
+  std::vector<float> store;
+  Conv3x3 conv;
+  conv.upsampled = {values.data(), low_height, low_width, kChannels,
+                    taps_of(filter, kChannels, store)};
+  conv.input_count = 0;
+  conv.height = 2 * low_height;
+  conv.width = 2 * low_width;
+  conv.weights = filter.packed;
+  std::vector<float> out(static_cast<std::size_t>(conv.height * conv.width * kColumns));
+  conv.output = out.data();
+  const ConvChain chain = {{conv}, 1};
+  const auto compute = [&](int begin, int end) {
+    std::vector<float> scratch(conv3x3_scratch(chain), std::nanf(""));
+    if (begin < end) conv3x3_rows(chain, begin, end, scratch.data());
+  };
+  compute(0, conv.height);
+  expect_convolved(upsampled(low, Upsampling::kBilinear), filter, conv, out);
+  const std::vector<float> whole = out;
+  for (int first = 0; first <= conv.height; ++first) {
+    for (int second = first; second <= conv.height; ++second) {
+      compute(second, conv.height);
+      compute(first, second);
+      compute(0, first);
+      ASSERT_EQ(out, whole) << "cut before rows " << first << " and " << second;
+    }
+  }
+}
+
+// Down to one row or column, where all is border; slices may begin at odd rows.
+TEST(Conv3x3Kernel, SharesOfSmallImagesAreTheSameWhateverTheSlices) {
+  for_each_isa([] {
+    Random random(21);
+    for (int height = 1; height <= 4; ++height) {
+      for (int width = 1; width <= 4; ++width) {
+        check_every_cut(random, height, width);
+        for (const int columns : {1, 16, 50}) {
+          check_conv(random, make_image(random, height, width, 9), Upsampling::kBilinear, 5, 1,
+                     Padding::kZero, columns);
+        }
+      }
+    }
+  });
+}
+
 }  // namespace
 }  // namespace lcdm::kernels

@@ -235,7 +235,7 @@ TEST(HeadKernel, UpdatesTheStateInHalves) {
     Random random(7);
     for (const bool zero : {false, true}) {
       for (const auto& [height, width] :
-           {std::pair{6, 37}, {9, 32}, {5, 6}, {2, 3}, {3, 2}, {2, 48}}) {
+           {std::pair{6, 37}, {9, 32}, {5, 6}, {2, 3}, {3, 2}, {4, 18}, {2, 48}}) {
         expect_update(random, {channels, height, width, zero, Precision::kBfloat16});
       }
     }

@@ -155,7 +155,7 @@ TEST(InvertedResidualKernel, FiltersPairsOfPixels) {
     for (const Precision precision :
          {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
       if (support_of(precision) == Support::kNone) continue;
-      for (int columns = 1; columns <= 13; ++columns) {
+      for (int columns = 1; columns <= 17; ++columns) {
         for (const int stride : {1, 2}) {
           check_inverted_residual(random, {8, 20, 8, stride, 2 * stride, columns * stride},
                                   precision, Precision::kBfloat16);

@@ -150,7 +150,8 @@ void check_rough_activations(int columns) {
     for (std::size_t i = 0; i < out.size(); ++i) {
       const double x = rows[2 * (i / static_cast<std::size_t>(columns))];
       const double want = activated(activation, x);
-      const double rough = activation == Activation::kSilu ? 4e-4 : 1e-4;
+      const bool by_table = activation == Activation::kSilu && columns == 16;  // AVX-512's vector
+      const double rough = by_table ? 4e-4 : 1e-4;
       ASSERT_NEAR(out[i], want, rough + 5e-4 * std::fabs(want)) << "of " << x;
     }
   }

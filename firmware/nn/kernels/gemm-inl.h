@@ -149,7 +149,7 @@ HWY_INLINE void finish(D d, const RowOutput& o, int row, int column, int columns
   }
 }
 
-// The same of rows in pairs.
+// Activation and store of rows in pairs, without a residual.
 template <Activation kActivation, int MR, int NV, class D>
 HWY_INLINE void finish_pairs(D d, const RowOutput& o, int row, int column, int columns,
                              hn::Vec<D> (&acc)[MR][NV]) {

@@ -21,8 +21,8 @@ HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
 
-// Floats from those of `shared` that are used to those that are fetched: 6 KB. Larger pictures'
-// come from memory, and are not asked for early enough otherwise.
+// Words from those of `shared` that are used to those that are fetched, floats or pairs: 6 KB.
+// Larger pictures' come from memory, and are not asked for early enough otherwise.
 constexpr std::size_t kAhead = 1536;
 
 // kPixels neighbours of one place; what of the state is beyond the image has no part. kClipped: a

@@ -115,7 +115,7 @@ struct RowOutput {
   Activation activation = Activation::kNone;
   // Rows two by two as words of bfloat16, the first of them in the lower half, a missing second one
   // 0; the stride is from pair to pair. Without a residual; of narrow products with SiLU, and of
-  // halves of no more than a vector of columns without activation.
+  // halves of no more than a vector of columns without activation: other rows do not come in pairs.
   bool paired = false;
 };
 

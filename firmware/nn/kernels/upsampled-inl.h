@@ -68,7 +68,7 @@ HWY_INLINE Doubled<V> doubled(D d, const OfTaps<V>& before, const OfTaps<V>& her
           hn::MulAdd(most, near_second, hn::Mul(least, far_second))};
 }
 
-// The same anywhere: place i of `size`. What is beyond the border has no weight, but is a number.
+// The same anywhere: place i of `size`. What is beyond the border has no weight, but is finite.
 template <class D, class V = hn::Vec<D>>
 HWY_NOINLINE Doubled<V> doubled_at(D d, int i, int size, const OfTaps<V>& before,
                                    const OfTaps<V>& here, const OfTaps<V>& after) {
