@@ -20,6 +20,13 @@ HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
 
+void hidden_rows(const HeadStep& s, int begin, int end) {
+  const auto channels = static_cast<std::size_t>(s.channels);
+  for (int y = begin; y < end; ++y) {
+    hidden_row(s, y, s.hidden + static_cast<std::size_t>(y) * s.width * channels, channels);
+  }
+}
+
 void update_rows(const HeadUpdate& u, int begin, int end, float* scratch) {
   if (u.precision == Precision::kFloat32) {
     float_rows(u, begin, end, scratch);

@@ -90,13 +90,6 @@ HWY_INLINE void hidden_row(const HeadStep& s, int y, float* out, std::size_t pit
   for (; x < s.width; ++x) clipped(x);
 }
 
-void hidden_rows(const HeadStep& s, int begin, int end) {
-  const auto channels = static_cast<std::size_t>(s.channels);
-  for (int y = begin; y < end; ++y) {
-    hidden_row(s, y, s.hidden + static_cast<std::size_t>(y) * s.width * channels, channels);
-  }
-}
-
 // All lanes of the vectors as one row: lane i of the result is the sum of its i-th kVectors lanes.
 template <std::size_t kVectors>
 HWY_INLINE FullVec sums_of_lanes(FullVec (&v)[kVectors]) {
@@ -112,7 +105,7 @@ HWY_INLINE FullVec sums_of_lanes(FullVec (&v)[kVectors]) {
   return v[0];
 }
 
-std::size_t padded_channels(int channels) {
+inline std::size_t padded_channels(int channels) {
   return (static_cast<std::size_t>(channels) + kLanes - 1) / kLanes * kLanes;
 }
 
@@ -195,7 +188,7 @@ HWY_INLINE void update_row(const HeadUpdate& u, int y, const float* const (&rows
   }
 }
 
-void float_rows(const HeadUpdate& u, int begin, int end, float* scratch) {
+HWY_INLINE void float_rows(const HeadUpdate& u, int begin, int end, float* scratch) {
   const std::size_t pitch = padded_channels(u.step.channels);
   const std::size_t row_floats = static_cast<std::size_t>(u.step.width + 2) * pitch;
   std::memset(scratch, 0, 3 * row_floats * sizeof(float));  // the padding
