@@ -57,27 +57,18 @@ npm_packages() {
 # Under sanitizers: the readers of untrusted bytes and the whole engine. Everything else of the tree
 # is in `--all`.
 sanitizer_subset=(wire_tests network_tests preprocess_tests engine_reference_tests)
-build_subset() {
-  cmake --preset "$1" >/dev/null && cmake --build --preset "$1" --target "${sanitizer_subset[@]}"
-}
 run_soak() {
   LCDM_SOAK_SECONDS=$1 umockdev-wrapper build/trainer/bin/soak_tests --gtest_brief=1
 }
-run_subset() {
-  local program
-  for program in "${sanitizer_subset[@]}"; do "build/$1/bin/$program" --gtest_brief=1 || return; done
-}
 # The kernels of an instruction set that `asan` leaves out.
 avx512_programs=(kernel_tests engine_reference_tests precision_tests)
-build_avx512() {
-  cmake --preset asan-avx512 >/dev/null &&
-    cmake --build --preset asan-avx512 --target "${avx512_programs[@]}"
+# build_programs PRESET PROGRAM..., run_programs alike.
+build_programs() {
+  cmake --preset "$1" >/dev/null && cmake --build --preset "$1" --target "${@:2}"
 }
-run_avx512() {
+run_programs() {
   local program
-  for program in "${avx512_programs[@]}"; do
-    "build/asan-avx512/bin/$program" --gtest_brief=1 || return
-  done
+  for program in "${@:2}"; do "build/$1/bin/$program" --gtest_brief=1 || return; done
 }
 # Of what is built already.
 make_package() {
@@ -137,15 +128,15 @@ stage 'package' make_package
 stage 'package test' tests/appliance/package_test.sh "$package"
 stage 'booted guest' tests/appliance/run.sh --package "$package"
 stage 'booted guest, soak' tests/appliance/soak.sh 2 --package "$package"
-stage 'sanitizer subset, build' build_subset asan
-stage 'sanitizer subset, tests' run_subset asan
+stage 'sanitizer subset, build' build_programs asan "${sanitizer_subset[@]}"
+stage 'sanitizer subset, tests' run_programs asan "${sanitizer_subset[@]}"
 if $all; then
   stage 'soak at real speed, long' run_soak 600
   stage 'address sanitizer build' build asan
   stage 'address sanitizer tests' run_tests asan -LE browser
   if grep -q avx512bw /proc/cpuinfo; then
-    stage 'address sanitizer, AVX-512, build' build_avx512
-    stage 'address sanitizer, AVX-512, tests' run_avx512
+    stage 'address sanitizer, AVX-512, build' build_programs asan-avx512 "${avx512_programs[@]}"
+    stage 'address sanitizer, AVX-512, tests' run_programs asan-avx512 "${avx512_programs[@]}"
   else
     echo 'this processor has no AVX-512: its kernels are not run under the sanitizers'
   fi

@@ -1,69 +1,15 @@
 // 3x3 convolutions, plain, chained and by Winograd's algorithm, against loops one can check by eye.
 #include <algorithm>
-#include <bit>
 #include <cmath>
-#include <cstdint>
 #include <gtest/gtest.h>
 
 #include "firmware/nn/kernels/conv.h"
 #include "firmware/nn/kernels/winograd.h"
+#include "tests/firmware/convolutions.h"
 #include "tests/firmware/image.h"
 
 namespace lcdm::kernels {
 namespace {
-
-Image upsampled(const Image& in, Upsampling how) {
-  if (how == Upsampling::kNone) return in;
-  Image out{in.height * 2, in.width * 2, in.channels, {}};
-  for (int y = 0; y < out.height; ++y) {
-    for (int x = 0; x < out.width; ++x) {
-      for (int c = 0; c < in.channels; ++c) {
-        if (how == Upsampling::kNearest) {
-          out.values.push_back(in.at(y / 2, x / 2, c));
-          continue;
-        }
-        const auto blend = [&](int row) {
-          const int other = std::clamp(x / 2 + (x % 2 == 0 ? -1 : 1), 0, in.width - 1);
-          return 0.75 * in.at(row, x / 2, c) + 0.25 * in.at(row, other, c);
-        };
-        const int other = std::clamp(y / 2 + (y % 2 == 0 ? -1 : 1), 0, in.height - 1);
-        out.values.push_back(0.75 * blend(y / 2) + 0.25 * blend(other));
-      }
-    }
-  }
-  return out;
-}
-
-// The direct convolution of the channels after the first `skipped`.
-PackedMatrix without(const Filter& filter, int skipped, std::vector<float>& store,
-                     Precision precision = Precision::kFloat32) {
-  const int used = filter.channels - skipped;
-  const int runs = precision == Precision::kFloat32 ? 1 : 3;
-  store.resize(packed_floats(used * 9, filter.columns, precision, runs));
-  return pack_matrix(
-      used * 9, filter.columns,
-      [&](int k, int n) { return filter.at(n, skipped + k % used, k / used); }, filter.bias, store,
-      precision, runs);
-}
-
-// The first `count` channels, tap by tap.
-PackedMatrix taps_of(const Filter& filter, int count, std::vector<float>& store,
-                     Precision precision = Precision::kFloat32) {
-  store.resize(packed_floats(count, 9 * filter.columns, precision));
-  return pack_matrix(
-      count, 9 * filter.columns,
-      [&](int k, int n) { return filter.at(n % filter.columns, k, n / filter.columns); }, {}, store,
-      precision);
-}
-
-void expect_convolved(const Image& in, const Filter& filter, const Conv3x3& conv,
-                      const std::vector<float>& out) {
-  expect_near(out, filter.of(in, conv.stride, conv.padding), 4e-6 * 9 * (in.channels + 4));
-}
-
-ConvInput as_input(const Image& image, const std::vector<float>& values, Upsampling upsampling) {
-  return {values.data(), image.height, image.width, image.channels, upsampling};
-}
 
 // The same by Winograd's algorithm.
 void check_winograd(const Conv3x3& conv, const Image& whole, const Filter& filter, int skipped) {
@@ -163,186 +109,16 @@ TEST(Conv3x3Kernel, UpsamplesAndConcatenatesWhileReading) {
   });
 }
 
-struct WholeConv {
-  Image image;
-  Filter filter;
-
-  WholeConv(Random& random, int height, int width, int channels, int columns)
-      : image(make_image(random, height, width, channels)), filter(random, columns, channels, 3) {
-    make_whole(random, image);
-    make_whole(random, filter);
-  }
-};
-
-// Pixels [height, columns] two by two, as RowOutput says, as floats [height, width, columns].
-std::vector<float> apart(const std::vector<float>& words, int height, int width, int columns) {
-  std::vector<float> out;
-  for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      for (int n = 0; n < columns; ++n) {
-        const int at = (y * ((width + 1) / 2) + x / 2) * columns + n;
-        const auto word = std::bit_cast<std::uint32_t>(words[static_cast<std::size_t>(at)]);
-        out.push_back(std::bit_cast<float>(x % 2 == 0 ? word << 16 : word & 0xFFFF0000U));
-      }
-    }
-  }
-  return out;
-}
-
-void check_narrow_conv(const WholeConv& whole, Precision precision, int stride, Padding padding,
-                       bool paired = false) {
-  SCOPED_TRACE(testing::Message() << to_string(precision) << ", stride " << stride);
-  const Image& image = whole.image;
-  const Filter& filter = whole.filter;
-  const auto values = to_floats(image.values);
-  std::vector<float> store;
-  const int rows = image.height / stride;
-  std::vector<float> out(static_cast<std::size_t>(rows * image.width / stride * filter.columns));
-  Conv3x3 conv;
-  conv.inputs[0] = as_input(image, values, Upsampling::kNone);
-  conv.height = image.height;
-  conv.width = image.width;
-  conv.channels = image.channels;
-  conv.stride = stride;
-  conv.padding = padding;
-  conv.weights = filter.narrow(precision, store, 3);
-  conv.output = out.data();
-  conv.paired = paired;
-  const ConvChain chain = {{conv}, 1};
-  std::vector<float> scratch(conv3x3_scratch(chain));
-  conv3x3_rows(chain, rows / 2, rows, scratch.data());
-  conv3x3_rows(chain, 0, rows / 2, scratch.data());
-  const Image want = filter.of(image, stride, padding);
-  if (!paired) return expect_near(out, want, 2e-3);
-  const std::vector<float> pixels = apart(out, rows, image.width / stride, filter.columns);
-  for (std::size_t i = 0; i < pixels.size(); ++i) {
-    ASSERT_NEAR(pixels[i], want.values[i], 2e-3 + std::fabs(want.values[i]) / 256) << i;
-  }
-}
-
-// check(precision) for every narrow one that each instruction set has.
-template <typename Check>
-void for_each_narrow(Check&& check) {
-  for_each_isa([&] {
-    for (const Precision precision :
-         {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
-      if (support_of(precision) != Support::kNone) check(precision);
-    }
-  });
-}
-
-TEST(Conv3x3Kernel, ConvolvesNarrowNumbers) {
-  for_each_narrow([](Precision precision) {
-    Random random(8);
-    for (const Padding padding : {Padding::kZero, Padding::kReflect}) {
-      for (const int channels : {4, 8, 20, 36}) {
-        for (const int columns : {1, 8, 23, 50}) {
-          const WholeConv odd(random, random.whole(2, 9), random.whole(2, 19), channels, columns);
-          check_narrow_conv(odd, precision, 1, padding);
-          const WholeConv even(random, 2 * random.whole(1, 5), 2 * random.whole(1, 9), channels,
-                               columns);
-          check_narrow_conv(even, precision, 2, padding);
-        }
-      }
-    }
-  });
-}
-
-// As conv1 of the head's condition is stored; an odd last pixel has no other.
-TEST(Conv3x3Kernel, StoresPixelsInPairs) {
-  for_each_isa([] {
-    if (support_of(Precision::kBfloat16) == Support::kNone) return;
-    Random random(12);
-    for (const int width : {1, 2, 16, 19, 37}) {
-      check_narrow_conv(WholeConv(random, 4, width, 16, vector_lanes()), Precision::kBfloat16, 1,
-                        Padding::kZero, true);
-    }
-  });
-}
-
 // Few columns have a tile of their own: 16 windows of three pixels, then 8, 4, 2 and 1.
 TEST(Conv3x3Kernel, ConvolvesWideRowsToFewChannels) {
-  const auto of_every_width = [](const auto& check) {
+  for_each_isa([] {
     Random random(7);
     for (const int columns : {1, 8, 16}) {
-      for (const int width : {15, 16, 17, 31, 48}) check(random, width, columns);
+      for (const int width : {15, 16, 17, 31, 48}) {
+        check_conv(random, make_image(random, 3, width, 12), Upsampling::kNone, 0, 1,
+                   Padding::kZero, columns);
+      }
     }
-  };
-  for_each_isa([&] {
-    of_every_width([](Random& random, int width, int columns) {
-      check_conv(random, make_image(random, 3, width, 12), Upsampling::kNone, 0, 1, Padding::kZero,
-                 columns);
-    });
-  });
-  for_each_narrow([&](Precision precision) {
-    of_every_width([precision](Random& random, int width, int columns) {
-      check_narrow_conv(WholeConv(random, 3, width, 12, columns), precision, 1, Padding::kZero);
-    });
-  });
-}
-
-// 18 pixels: a tile of sixteen windows, and what is left.
-TEST(Conv3x3Kernel, AddsAnUpsampledShareOfNarrowNumbers) {
-  for_each_narrow([](Precision precision) {
-    SCOPED_TRACE(to_string(precision));
-    Random random(10);
-    for (const int columns : {8, 16, 23}) {
-      Image low = make_image(random, 4, 9, 20);
-      Image second = make_image(random, 8, 18, 12);
-      make_whole(random, low);
-      make_whole(random, second);
-      const Image whole = joined(upsampled(low, Upsampling::kBilinear), second);
-      Filter filter(random, columns, whole.channels, 3);
-      make_whole(random, filter);
-      const auto low_values = to_floats(low.values);
-      const auto second_values = to_floats(second.values);
-      std::vector<float> taps_store;
-      std::vector<float> store;
-      std::vector<float> out(static_cast<std::size_t>(8 * 18 * columns));
-      Conv3x3 conv;
-      conv.upsampled = {low_values.data(), 4, 9, 20, taps_of(filter, 20, taps_store, precision)};
-      conv.inputs[0] = as_input(second, second_values, Upsampling::kNone);
-      conv.height = 8;
-      conv.width = 18;
-      conv.channels = 12;
-      conv.weights = without(filter, 20, store, precision);
-      conv.output = out.data();
-      const ConvChain chain = {{conv}, 1};
-      std::vector<float> scratch(conv3x3_scratch(chain));
-      conv3x3_rows(chain, 3, 8, scratch.data());
-      conv3x3_rows(chain, 0, 3, scratch.data());
-      expect_near(out, filter.of(whole), 5e-3);
-    }
-  });
-}
-
-TEST(Conv3x3Kernel, ChainsNarrowNumbers) {
-  for_each_narrow([](Precision precision) {
-    SCOPED_TRACE(to_string(precision));
-    Random random(11);
-    const WholeConv first(random, 9, 13, 8, 12);
-    Filter second(random, 20, 12, 3);
-    make_whole(random, second);
-    const Image between = first.filter.of(first.image);
-    const auto values = to_floats(first.image.values);
-    std::vector<float> stores[2];
-    std::vector<float> out(std::size_t{9} * 13 * 20);
-    ConvChain chain;
-    chain.count = 2;
-    for (Conv3x3& conv : chain.convs) {
-      conv.height = 9;
-      conv.width = 13;
-    }
-    chain.convs[0].inputs[0] = as_input(first.image, values, Upsampling::kNone);
-    chain.convs[0].channels = 8;
-    chain.convs[0].weights = first.filter.narrow(precision, stores[0], 3);
-    chain.convs[1].channels = 12;
-    chain.convs[1].weights = second.narrow(precision, stores[1], 3);
-    chain.convs[1].output = out.data();
-    std::vector<float> scratch(conv3x3_scratch(chain));
-    conv3x3_rows(chain, 4, 9, scratch.data());
-    conv3x3_rows(chain, 0, 4, scratch.data());
-    expect_near(out, second.of(between), rounding_of_sum(between, 9 * 12, precision));
   });
 }
 

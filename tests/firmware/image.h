@@ -165,6 +165,7 @@ using test::expect_near;
 using test::expect_only_rows;
 using test::Filter;
 using test::for_each_isa;
+using test::for_each_narrow;
 using test::Image;
 using test::joined;
 using test::kUntouched;

@@ -18,11 +18,13 @@
 
 namespace lcdm::test {
 
+constexpr Precision kNarrow[] = {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8};
+
 // The narrow precisions whose products this processor makes with the chosen instruction set, those
 // that are put together slowly in brackets.
 inline std::string narrow_precisions() {
   std::string names;
-  for (const Precision precision : {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
+  for (const Precision precision : kNarrow) {
     const kernels::Support support = kernels::support_of(precision);
     if (support == kernels::Support::kNone) continue;
     const std::string name = to_string(precision);
@@ -54,6 +56,18 @@ void for_each_isa(Check&& check) {
   }
   hwy::SetSupportedTargetsForTest(0);
   hwy::GetChosenTarget().DeInit();
+}
+
+// Calls check(precision) for every narrow one that each instruction set has.
+template <typename Check>
+void for_each_narrow(Check&& check) {
+  for_each_isa([&] {
+    for (const Precision precision : kNarrow) {
+      if (kernels::support_of(precision) == kernels::Support::kNone) continue;
+      SCOPED_TRACE(to_string(precision));
+      check(precision);
+    }
+  });
 }
 
 // The same values on every run.

@@ -24,8 +24,6 @@ double activated(Activation activation, double x) {
   return x;
 }
 
-constexpr Precision kNarrow[] = {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8};
-
 struct Product {
   int rows;
   int depth;
@@ -113,17 +111,13 @@ TEST(MatrixKernel, AppliesEveryActivation) {
 }
 
 TEST(MatrixKernel, MultipliesPairsAndQuadsOfNarrowNumbers) {
-  for_each_isa([] {
+  for_each_narrow([](Precision precision) {
     unsigned seed = 0;
-    for (const Precision precision : kNarrow) {
-      if (support_of(precision) == Support::kNone) continue;
-      for (const int rows : {1, 3, 8, 13, 71, 300}) {
-        for (const int depth : {4, 8, 20, 44, 64, 148}) {
-          for (const int columns : {1, 8, 15, 17, 33, 48, 100}) {
-            check_product({rows, depth, columns, Activation::kSilu, seed % 2 == 0, precision},
-                          seed);
-            ++seed;
-          }
+    for (const int rows : {1, 3, 8, 13, 71, 300}) {
+      for (const int depth : {4, 8, 20, 44, 64, 148}) {
+        for (const int columns : {1, 8, 15, 17, 33, 48, 100}) {
+          check_product({rows, depth, columns, Activation::kSilu, seed % 2 == 0, precision}, seed);
+          ++seed;
         }
       }
     }
@@ -193,29 +187,26 @@ Whole exact_in(Precision precision) {
 }
 
 TEST(MatrixKernel, NarrowNumbersThatAreExactGiveExactSums) {
-  for_each_isa([] {
-    for (const Precision precision : kNarrow) {
-      if (support_of(precision) == Support::kNone) continue;
-      constexpr int kDepth = 256;
-      const Whole whole = exact_in(precision);
-      std::vector<float> a(kDepth);
-      double expected = 3;
-      const auto weight = [&](int k, int) {
-        return static_cast<float>((k * 37) % (2 * whole.weight + 1) - whole.weight);
-      };
-      for (int k = 0; k < kDepth; ++k) {
-        a[static_cast<std::size_t>(k)] = static_cast<float>((k * 91) % (whole.row + 1));
-        expected +=
-            static_cast<double>(a[static_cast<std::size_t>(k)]) * static_cast<double>(weight(k, 0));
-      }
-      const float bias = 3;
-      std::vector<float> packed(packed_floats(kDepth, 1, precision));
-      const PackedMatrix matrix = pack_matrix(kDepth, 1, weight, {&bias, 1}, packed, precision);
-      float out = 0;
-      multiply_rows({{a.data()}, 1, kDepth, kDepth, 1}, matrix,
-                    {&out, nullptr, 1, Activation::kNone});
-      EXPECT_EQ(out, static_cast<float>(expected)) << to_string(precision);
+  for_each_narrow([](Precision precision) {
+    constexpr int kDepth = 256;
+    const Whole whole = exact_in(precision);
+    std::vector<float> a(kDepth);
+    double expected = 3;
+    const auto weight = [&](int k, int) {
+      return static_cast<float>((k * 37) % (2 * whole.weight + 1) - whole.weight);
+    };
+    for (int k = 0; k < kDepth; ++k) {
+      a[static_cast<std::size_t>(k)] = static_cast<float>((k * 91) % (whole.row + 1));
+      expected +=
+          static_cast<double>(a[static_cast<std::size_t>(k)]) * static_cast<double>(weight(k, 0));
     }
+    const float bias = 3;
+    std::vector<float> packed(packed_floats(kDepth, 1, precision));
+    const PackedMatrix matrix = pack_matrix(kDepth, 1, weight, {&bias, 1}, packed, precision);
+    float out = 0;
+    multiply_rows({{a.data()}, 1, kDepth, kDepth, 1}, matrix,
+                  {&out, nullptr, 1, Activation::kNone});
+    EXPECT_EQ(out, static_cast<float>(expected)) << to_string(precision);
   });
 }
 
@@ -281,14 +272,11 @@ void check_exact(const ExactProduct& p, Precision precision) {
 }
 
 TEST(MatrixKernel, EachRangeOfRowsIsItsOwnHoweverFarApartTheyAre) {
-  for_each_isa([] {
+  for_each_narrow([](Precision precision) {
     Random random(8);
-    for (const Precision precision : kNarrow) {
-      if (support_of(precision) == Support::kNone) continue;
-      // The last is the deepest that fits: one range is all that is held narrow at a time.
-      for (const int depth : {20, 64, kNarrowWords / kRowsOfRange * numbers_per_word(precision)}) {
-        check_exact({random, depth, exact_in(precision)}, precision);
-      }
+    // The last is the deepest that fits: one range is all that is held narrow at a time.
+    for (const int depth : {20, 64, kNarrowWords / kRowsOfRange * numbers_per_word(precision)}) {
+      check_exact({random, depth, exact_in(precision)}, precision);
     }
   });
 }

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "firmware/nn/kernels/matrix.h"
+#include "firmware/nn/kernels/words.h"
 #include "tests/firmware/image.h"
 
 namespace lcdm::kernels {
@@ -47,7 +48,7 @@ void check_pairs(Random& random, const PairsCase& c) {
     const auto bits = std::bit_cast<std::uint32_t>(word);
     for (int half = 0; half < 2; ++half) {
       const int row = at / pitch * 2 + half;
-      const auto number = std::bit_cast<float>(half == 0 ? bits << 16 : bits & 0xFFFF0000U);
+      const float number = half == 0 ? bfloat16_first(bits) : bfloat16_second(bits);
       const auto plain_at = static_cast<std::size_t>(row * c.columns + at % pitch);
       const float want = row < c.rows ? plain[plain_at] : 0.0F;
       ASSERT_NEAR(number, want, std::fabs(want) / 256) << "row " << row;
@@ -56,17 +57,13 @@ void check_pairs(Random& random, const PairsCase& c) {
 }
 
 TEST(PairsKernel, HoldTheRowsAndNothingBesideThem) {
-  for_each_isa([] {
+  for_each_narrow([](Precision precision) {
     Random random(3);
-    for (const Precision precision :
-         {Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
-      if (support_of(precision) == Support::kNone) continue;
-      for (const int columns : {1, 4, 8, 15, 16, 17, 20, 33, 48, 100}) {
-        for (const int rows : {1, 2, 3, 7, 8, 13, 71, 131}) {
-          check_pairs(random, {precision, Activation::kSilu, rows, columns});
-          if (precision != Precision::kBfloat16 || columns > vector_lanes()) continue;
-          check_pairs(random, {precision, Activation::kNone, rows, columns});
-        }
+    for (const int columns : {1, 4, 8, 15, 16, 17, 20, 33, 48, 100}) {
+      for (const int rows : {1, 2, 3, 7, 8, 13, 71, 131}) {
+        check_pairs(random, {precision, Activation::kSilu, rows, columns});
+        if (precision != Precision::kBfloat16 || columns > vector_lanes()) continue;
+        check_pairs(random, {precision, Activation::kNone, rows, columns});
       }
     }
   });

@@ -58,7 +58,6 @@ class ConvRows {
     loaded_ = first * conv.stride - 1;
     whole_ = ring_ + 3 * row_words_;
     if (conv.upsampled.data == nullptr) return;
-    pair_ = -1;
     shares_ = whole_ + conv.whole_floats();
     upsampled_.begin(conv.upsampled, first, shares_ + 2 * conv_->output_row());
   }

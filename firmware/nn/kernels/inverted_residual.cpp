@@ -97,7 +97,7 @@ class Strip {
       for (std::size_t i = 0; i < count; ++i) {
         const std::size_t pixel = i / hidden();
         const auto bits = std::bit_cast<std::uint32_t>(words[pixel / 2 * hidden() + i % hidden()]);
-        out[i] = std::bit_cast<float>(pixel % 2 == 0 ? bits << 16 : bits & 0xFFFF0000U);
+        out[i] = pixel % 2 == 0 ? bfloat16_first(bits) : bfloat16_second(bits);
       }
     }
   }
@@ -177,7 +177,7 @@ class Strip {
     const float* const rows[3] = {slot(top), slot(top + 1), slot(top + 2)};
     const auto columns = static_cast<std::size_t>(columns_);
     std::size_t x = 0;
-    if constexpr (kPairs && HWY_TARGET == HWY_AVX3) {
+    if constexpr (kPairs && HWY_TARGET == HWY_AVX3) {  // 32 registers
       for (; x + 8 <= columns; x += 8) filter_pixels<kRough, kStride, 8>(rows, x);
     }
     for (; x + kPixels <= columns; x += kPixels) filter_pixels<kRough, kStride, kPixels>(rows, x);

@@ -17,6 +17,12 @@ inline std::uint32_t bfloat16_pair(float first, float second) {
   return bfloat16_bits(first) | bfloat16_bits(second) << 16;
 }
 
+// The numbers of such a pair.
+inline float bfloat16_first(std::uint32_t pair) { return std::bit_cast<float>(pair << 16); }
+inline float bfloat16_second(std::uint32_t pair) {
+  return std::bit_cast<float>(pair & 0xFFFF0000U);
+}
+
 // IEEE half precision: rounded to nearest, ties to even; numbers within 65504 only.
 inline std::uint32_t float16_bits(float x) {
   const auto all = std::bit_cast<std::uint32_t>(x);
