@@ -92,11 +92,7 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   }
 
   mix(t, values, inverse, b);
-  for (int q = 0; q < t.count; ++q) {
-    for (int c = 0; c < t.head_channels; ++c) {
-      out[q * out_stride + c] = b.mixed[static_cast<std::size_t>(c) * kQueries + q];
-    }
-  }
+  transpose(b.mixed, kQueries, t.head_channels, t.count, 1, out, out_stride);
 }
 
 int tiles_of(int tokens) {

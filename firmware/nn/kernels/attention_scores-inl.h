@@ -49,12 +49,6 @@ HWY_INLINE void score_rows(const Walk& keys, int key, const Buffers<Operand>& b,
   }
 }
 
-// 2^score where that is within 126 of 0.
-template <class Operand>
-HWY_INLINE FullVec power_within(FullTag d, FullVec score) {
-  return exp2_within<kPerWord<Operand> != 1>(d, score);
-}
-
 // e^((score - largest) * unit).
 template <class Operand>
 HWY_INLINE FullVec power_of(FullTag d, FullVec score, FullVec largest,
@@ -62,7 +56,8 @@ HWY_INLINE FullVec power_of(FullTag d, FullVec score, FullVec largest,
   if constexpr (Operand::kScaled) {
     return rough_exp_minus(d, hn::Mul(hn::Sub(largest, score), hn::Set(d, unit)));
   } else {
-    return power_within<Operand>(d, hn::Max(hn::Sub(score, largest), hn::Set(d, -126.0F)));
+    return exp2_within<kPerWord<Operand> != 1>(
+        d, hn::Max(hn::Sub(score, largest), hn::Set(d, -126.0F)));
   }
 }
 
@@ -77,17 +72,16 @@ HWY_INLINE void power_rows(const Walk& keys, int key, const Buffers<Operand>& b,
   float* word = b.scores + key / kWord * static_cast<int>(kQueries);
   LCDM_UNROLL for (int m = 0; m < MR; m += kWord, word += kQueries) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) {
-      FullVec e = power_within<Operand>(d, acc[m][v]);
-      sum[v] = hn::Add(sum[v], e);
-      if constexpr (kWord == 2) {
-        FullVec next = hn::Zero(d);
-        if (m + 1 < MR) {
-          next = power_within<Operand>(d, acc[m + 1][v]);
-          sum[v] = hn::Add(sum[v], next);
-        }
-        e = Operand::pair(d, e, next);
+      if constexpr (kWord == 1) {
+        const FullVec power = exp2_within<false>(d, acc[m][v]);
+        sum[v] = hn::Add(sum[v], power);
+        hn::StoreU(power, d, word + v * kLanes);
+      } else {
+        const FullVec next = m + 1 < MR ? acc[m + 1][v] : hn::Set(d, kNoScore);
+        const FullVec powers = Operand::pair_of_powers(d, acc[m][v], next);
+        sum[v] = Operand::dot(d, Operand::ones(d), powers, sum[v]);
+        hn::StoreU(powers, d, word + v * kLanes);
       }
-      hn::StoreU(e, d, word + v * kLanes);
     }
   }
 }
@@ -110,14 +104,15 @@ HWY_INLINE void powers(const QueryTile& t, const Walk& keys, const Buffers<Opera
 // The square of the longest of `count` rows.
 HWY_INLINE float longest_square(const float* rows, std::ptrdiff_t stride, int count, int numbers) {
   float longest = 0;
+  const HWY_CAPPED(float, 4) d;  // of a head's few numbers larger vectors would leave more
+  const int step = static_cast<int>(hn::Lanes(d));
   for (int row = 0; row < count; ++row, rows += stride) {
-    const FullTag d;
-    constexpr int kStep = static_cast<int>(kLanes);
-    FullVec sum = hn::Zero(d);
+    fetch_row(rows + std::min(kRowsAhead, count - 1 - row) * stride, numbers);
+    auto sum = hn::Zero(d);
     float rest = 0;
     int i = 0;
-    for (; i + kStep <= numbers; i += kStep) {
-      const FullVec v = hn::LoadU(d, rows + i);
+    for (; i + step <= numbers; i += step) {
+      const auto v = hn::LoadU(d, rows + i);
       sum = hn::MulAdd(v, v, sum);
     }
     for (; i < numbers; ++i) rest += rows[i] * rows[i];

@@ -11,6 +11,8 @@
 
 #include "firmware/nn/kernels/gemm-inl.h"
 
+#include "hwy/cache_control.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
@@ -41,6 +43,8 @@ constexpr float kScoreUnits = Operand::kScaled ? 1.0F : 1.44269504F;
 // Scores no larger than this, of either sign, need not be compared with the largest of their query
 // before they become powers of two: these and their sums stay far from a float's ends.
 constexpr float kMostScore = 60;
+// Its power counts as 0: for the key that a pair lacks.
+constexpr float kNoScore = -127;
 
 // The operand's numbers of one word, from rows that are `step` apart, times `factor` where it is
 // scaled; what is beyond `count` is 0.
@@ -101,19 +105,68 @@ struct Buffers {
   }
 };
 
+// Rows of one head lie far apart, where no processor looks ahead: they are asked for as many rows
+// before they are read.
+constexpr int kRowsAhead = 12;
+
+HWY_INLINE void fetch_row(const float* row, int numbers) {
+  hwy::Prefetch(row);
+  hwy::Prefetch(row + numbers - 1);
+}
+
+// to[column][row] = from[row][column] * factor.
+HWY_INLINE void transpose(const float* from, std::ptrdiff_t from_stride, int rows, int columns,
+                          float factor, float* to, std::ptrdiff_t to_stride) {
+  int row = 0;
+#if HWY_TARGET != HWY_SCALAR
+  const HWY_CAPPED(float, 4) d;
+  const int whole = columns / 4 * 4;
+  for (; row + 4 <= rows; row += 4) {
+    const float* at = from + row * from_stride;
+    for (int r = 0; r < 4; ++r) {
+      fetch_row(at + std::min(kRowsAhead + r, rows - 1 - row) * from_stride, columns);
+    }
+    for (int column = 0; column < whole; column += 4) {
+      const auto load = [&](int r) HWY_ATTR {
+        return hn::Mul(hn::LoadU(d, at + r * from_stride + column), hn::Set(d, factor));
+      };
+      const auto a = load(0);
+      const auto b = load(1);
+      const auto c = load(2);
+      const auto e = load(3);
+      const auto ab01 = hn::InterleaveLower(d, a, b);
+      const auto ab23 = hn::InterleaveUpper(d, a, b);
+      const auto ce01 = hn::InterleaveLower(d, c, e);
+      const auto ce23 = hn::InterleaveUpper(d, c, e);
+      float* out = to + column * to_stride + row;
+      hn::StoreU(hn::ConcatLowerLower(d, ce01, ab01), d, out);
+      hn::StoreU(hn::ConcatUpperUpper(d, ce01, ab01), d, out + to_stride);
+      hn::StoreU(hn::ConcatLowerLower(d, ce23, ab23), d, out + 2 * to_stride);
+      hn::StoreU(hn::ConcatUpperUpper(d, ce23, ab23), d, out + 3 * to_stride);
+    }
+    for (int column = whole; column < columns; ++column) {
+      for (int r = 0; r < 4; ++r)
+        to[column * to_stride + row + r] = at[r * from_stride + column] * factor;
+    }
+  }
+#endif
+  for (; row < rows; ++row) {
+    for (int column = 0; column < columns; ++column) {
+      to[column * to_stride + row] = from[row * from_stride + column] * factor;
+    }
+  }
+}
+
 // queries[c][query] = query[c] * scale; missing queries are zero. Returns what they were divided
 // by.
 template <class Operand>
 HWY_INLINE float pack_queries(const QueryTile& t, float scale, const Buffers<Operand>& b) {
   const FullTag d;
   float* turned = b.mixed;  // not in use yet
-  std::fill_n(turned, static_cast<std::size_t>(t.head_channels) * kQueries, 0.0F);
-  for (int q = 0; q < t.count; ++q) {
-    for (int c = 0; c < t.head_channels; ++c) {
-      turned[static_cast<std::size_t>(c) * kQueries + q] =
-          t.queries[q * t.token_stride + c] * scale;
-    }
+  if (t.count < static_cast<int>(kQueries)) {
+    std::fill_n(turned, static_cast<std::size_t>(t.head_channels) * kQueries, 0.0F);
   }
+  transpose(t.queries, t.token_stride, t.count, t.head_channels, scale, turned, kQueries);
   const PowerOfTwo by = scale_of<Operand>(turned, kQueries, t.head_channels, kQueries);
   for (int c = 0; c < t.head_channels; c += kPerWord<Operand>) {
     const float* from = turned + static_cast<std::size_t>(c) * kQueries;

@@ -52,6 +52,28 @@ struct Bfloat16Operand {
     return hn::BitCast(d, hn::Or(l, h));
   }
 
+  // The pair 1, 1: the dot product with it is a pair's sum.
+  template <class D>
+  static HWY_INLINE hn::Vec<D> ones(D d) {
+    return hn::BitCast(d, hn::Set(hn::RebindToUnsigned<D>(), 0x3F803F80U));
+  }
+
+  // The pair 2^low, 2^high, within 1 % and .3 % in the mean, for powers within 126 of 0; of -127 it
+  // is 0.
+  template <class D, class V = hn::Vec<D>>
+  static HWY_INLINE V pair_of_powers(D d, V low, V high) {
+#if LCDM_NATIVE_BFLOAT16
+    const V lower = hn::Add(low, hn::Set(d, kPowerInHalves));
+    const V upper = hn::Add(high, hn::Set(d, kPowerInHalves));
+    const __m512i both =
+        _mm512_mask_mov_epi16(_mm512_slli_epi32(_mm512_castps_si512(upper.raw), 16), 0x55555555U,
+                              _mm512_castps_si512(lower.raw));
+    return V{_mm512_castsi512_ps(bend_powers(both))};
+#else
+    return pair(d, exp2_within<true>(d, low), exp2_within<true>(d, high));
+#endif
+  }
+
   // Words of consecutive numbers: those of `first` in the lower half of the vector, of `second` in
   // the upper.
   template <class D, class V = hn::Vec<D>>
@@ -91,6 +113,21 @@ struct Bfloat16Operand {
 
  private:
 #if LCDM_NATIVE_BFLOAT16
+  // Added to x of moderate size it leaves 128 (x + 127), rounded, in the lower half of the float's
+  // bits: as a bfloat16 (eight bits of exponent, seven of mantissa) that is 2^n (1 + f) of
+  // x = n + f.
+  static constexpr float kPowerInHalves = 98304.0F + 127.0F;  // 1.5 * 2^16
+
+  // Each half's 1 + f made 2^f: the difference, in units of the last of seven bits, by the upper
+  // five bits of f. Nothing for a half that is 0.
+  static HWY_INLINE __m512i bend_powers(__m512i halves) {
+    HWY_ALIGN static constexpr std::int16_t kDifference[2 * kLanes] = {
+        0,   -2,  -3,  -4,  -5,  -6,  -7,  -7, -8, -9, -9, -10, -10, -10, -11, -11,
+        -11, -11, -11, -11, -10, -10, -10, -9, -8, -8, -7, -6,  -5,  -4,  -2,  -1};
+    return _mm512_add_epi16(halves, _mm512_permutexvar_epi16(_mm512_srli_epi16(halves, 2),
+                                                             _mm512_load_si512(kDifference)));
+  }
+
   // From number i on, as many as fill whole vectors of words; returns the first that is left.
   template <class D>
   static HWY_INLINE int narrow_vectors(D d, int i, const float* from, int count, float* words) {
