@@ -19,6 +19,7 @@
 #include "firmware/nn/kernels/norm.h"
 #include "firmware/nn/kernels/peak.h"
 #include "firmware/nn/kernels/reshape.h"
+#include "firmware/nn/kernels/row_winograd.h"
 #include "firmware/nn/kernels/winograd.h"
 
 namespace lcdm {
@@ -211,9 +212,13 @@ class Cases {
 
   void conv3x3(Precision precision) {
     kernels::Conv3x3 conv = image_conv(320, 96, 16);
-    conv.weights = pack(9 * conv.channels, 16, precision, 3);
-    add_conv("3x3 16 -> 16, 320x96, direct", conv, precision, conv.channels,
-             product({320, 96, conv.channels}));
+    const int columns = 16;
+    conv.row_winograd = kernels::row_winograd_pays(1, conv.channels, columns, precision);
+    const int depth =
+        conv.row_winograd ? kernels::row_winograd_depth(conv.channels) : 9 * conv.channels;
+    conv.weights = pack(depth, columns, precision, 3);
+    add_conv(conv.row_winograd ? "3x3 16 -> 16, 320x96, F(2, 3)" : "3x3 16 -> 16, 320x96, direct",
+             conv, precision, conv.channels, product({320, 96, conv.channels}));
   }
 
   void upsampled_conv3x3(Precision precision) {

@@ -236,8 +236,7 @@ class Lowering {
         kernels::WinogradConv args{chain, conv, nullptr};
         return winograd(args);
       }
-      LCDM_RETURN_IF_ERROR(
-          weights_.pack3x3(network_.layer(index), conv.channels, precision, conv.weights));
+      LCDM_RETURN_IF_ERROR(weights_.pack3x3(network_.layer(index), precision, conv));
       ++chain.count;
     }
     return add_step(chain, &kernels::conv3x3_rows, layer_.output.height, 1,

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "firmware/nn/kernels/inverted_residual.h"
+#include "firmware/nn/kernels/row_winograd.h"
 
 namespace lcdm {
 namespace {
@@ -144,12 +145,23 @@ Status WeightStore::pack_matrix(const Layer& layer, int depth, kernels::PackedMa
   return pack(depth, layer.output.channels, at, bias_of(layer), precision, out);
 }
 
-Status WeightStore::pack3x3(const Layer& layer, int used, Precision precision,
-                            kernels::PackedMatrix& out) {
+Status WeightStore::pack3x3(const Layer& layer, Precision precision, kernels::Conv3x3& out) {
   const int channels = input_channels(layer);
+  const int used = out.channels;
+  const int columns = layer.output.channels;
   const Filters filters{load(layer.parameters[0]), channels, channels - used};
-  const auto at = [&](int k, int n) { return filters.at(k % used, n, k / used); };
-  return pack(9 * used, layer.output.channels, at, bias_of(layer), precision, out, 3);
+  out.row_winograd = kernels::row_winograd_pays(out.stride, used, columns, precision);
+  if (!out.row_winograd) {
+    const auto at = [&](int k, int n) { return filters.at(k % used, n, k / used); };
+    return pack(9 * used, columns, at, bias_of(layer), precision, out.weights, 3);
+  }
+  Result<std::span<float>> piece = constants_.add(
+      kernels::packed_floats(kernels::row_winograd_depth(used), columns, precision, 3));
+  if (!piece) return piece.status();
+  out.weights = kernels::pack_row_winograd(
+      used, columns, [&filters](int c, int n, int tap) { return filters.at(c, n, tap); },
+      bias_of(layer), *piece, precision);
+  return Status::ok();
 }
 
 Status WeightStore::pack_upsampled(const Layer& layer, int count, kernels::PackedMatrix& out) {

@@ -42,8 +42,9 @@ class WeightStore {
   // layer; for products no narrower than `narrowest`.
   Status pack_matrix(const Layer& layer, int depth, kernels::PackedMatrix& out,
                      Precision narrowest = Precision::kInt8);
-  // The last `used` input channels of a 3x3 convolution, with its bias.
-  Status pack3x3(const Layer& layer, int used, Precision precision, kernels::PackedMatrix& out);
+  // The last out.channels input channels of a 3x3 convolution, with its bias, as is fastest for its
+  // shape.
+  Status pack3x3(const Layer& layer, Precision precision, kernels::Conv3x3& out);
   // The first `count`, one 1x1 convolution for each tap.
   Status pack_upsampled(const Layer& layer, int count, kernels::PackedMatrix& out);
   // The last conv.channels, transformed, with the bias.

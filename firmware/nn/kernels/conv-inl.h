@@ -13,6 +13,7 @@
 #include "firmware/nn/kernels/conv.h"
 #include "firmware/nn/kernels/math-inl.h"
 #include "firmware/nn/kernels/own_rows.h"
+#include "firmware/nn/kernels/row_winograd-inl.h"
 #include "firmware/nn/kernels/rows-inl.h"
 #include "firmware/nn/kernels/upsampled-inl.h"
 
@@ -94,11 +95,16 @@ class ConvRows {
 
   HWY_INLINE void multiply(int top, const RowOutput& out) const {
     const int pixel = conv_->channels / numbers_per_word(conv_->weights.precision);
-    const RowInput rows = {{slot(top), slot(top + 1), slot(top + 2)},
-                           3,
-                           3 * pixel,
-                           static_cast<std::ptrdiff_t>(conv_->stride) * pixel,
-                           conv_->width / conv_->stride};
+    RowInput rows = {{slot(top), slot(top + 1), slot(top + 2)},
+                     3,
+                     3 * pixel,
+                     static_cast<std::ptrdiff_t>(conv_->stride) * pixel,
+                     conv_->width / conv_->stride};
+    if (conv_->row_winograd) {
+      rows.run_length = kRowProducts * pixel;
+      rows.stride = 2 * pixel;
+      rows.transformed = true;
+    }
     if (conv_->weights.precision == Precision::kFloat32) {
       multiply_rows(rows, conv_->weights, out);
     } else {
@@ -108,10 +114,24 @@ class ConvRows {
   }
 
   HWY_INLINE void load(int row) {
+    if (conv_->row_winograd) return load_transformed(row);
     if (conv_->weights.precision == Precision::kFloat32) return load_floats(row, slot(row));
     load_floats(row, whole_);
     ranges_[index(row)] = narrow_row(whole_, static_cast<int>(conv_->whole_floats()),
                                      conv_->weights.precision, slot(row));
+  }
+
+  HWY_INLINE void load_transformed(int row) {
+    load_floats(row, whole_);
+    const int channels = conv_->channels;
+    std::fill_n(whole_ + static_cast<std::ptrdiff_t>(conv_->width + 2) * channels, channels,
+                0.0F);  // what an odd row's last pair sees beyond it
+    const int pairs = (conv_->width + 1) / 2;
+    if (conv_->weights.precision == Precision::kFloat32) {
+      transform_to_floats(whole_, pairs, channels, slot(row));
+    } else {
+      transform_to_halves(whole_, pairs, channels, slot(row));
+    }
   }
 
   HWY_INLINE void load_floats(int row, float* out) {

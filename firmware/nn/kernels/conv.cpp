@@ -1,5 +1,7 @@
 #include "firmware/nn/kernels/conv.h"
 
+#include "firmware/nn/kernels/row_winograd.h"
+
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/conv.cpp"
@@ -43,13 +45,16 @@ std::size_t Conv3x3::output_row() const {
 }
 
 std::size_t Conv3x3::row_words() const {
-  return static_cast<std::size_t>(width + 2) *
-         static_cast<std::size_t>(channels / numbers_per_word(weights.precision));
+  const auto pixel = static_cast<std::size_t>(channels / numbers_per_word(weights.precision));
+  return row_winograd ? row_winograd_words(width, pixel)
+                      : static_cast<std::size_t>(width + 2) * pixel;
 }
 
 std::size_t Conv3x3::whole_floats() const {
-  if (weights.precision == Precision::kFloat32) return 0;
-  return static_cast<std::size_t>(width + 2) * static_cast<std::size_t>(channels);
+  if (weights.precision == Precision::kFloat32 && !row_winograd) return 0;
+  // The last pair of an odd row reads one pixel more.
+  return static_cast<std::size_t>(width + (row_winograd ? 3 : 2)) *
+         static_cast<std::size_t>(channels);
 }
 
 std::size_t Conv3x3::scratch_floats() const {

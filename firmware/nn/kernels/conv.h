@@ -40,14 +40,16 @@ struct Conv3x3 {
   int channels = 0;  // of all inputs together
   int stride = 1;
   Padding padding = Padding::kZero;
-  PackedMatrix weights;  // k = (3 * ky + kx) * channels + c
+  PackedMatrix weights;  // k = (3 * ky + kx) * channels + c; or pack_row_winograd's
   Activation activation = Activation::kNone;
   float* output = nullptr;  // [height / stride, width / stride, weights.columns]
   // The output's pixels two by two, as RowOutput says; of the last of a chain, in one product.
   bool paired = false;
+  bool row_winograd = false;  // by Winograd's F(2, 3) along the rows (row_winograd.h)
 
   std::size_t output_row() const;  // floats, or words of pairs
-  // A padded input row: as words of the weights' precision, and as floats before it is narrow.
+  // A padded input row: as words of the weights' precision, and as floats before it is narrow or
+  // transformed.
   std::size_t row_words() const;
   std::size_t whole_floats() const;    // 0 where it stays so
   std::size_t scratch_floats() const;  // rings of three rows of either kind of input

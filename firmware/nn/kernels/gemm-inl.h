@@ -16,6 +16,7 @@
 #include "firmware/nn/kernels/math-inl.h"
 #include "firmware/nn/kernels/matrix.h"
 #include "firmware/nn/kernels/operand-inl.h"
+#include "firmware/nn/kernels/row_winograd-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
@@ -253,10 +254,22 @@ HWY_INLINE void add_scaled_run(D d, const Words& a, int row, int r, const Panel&
   }
 }
 
+// What row_winograd_pays may choose: larger tiles are compiled without it.
+template <class Operand, int NV>
+constexpr bool can_be_transformed() {
+  return !Operand::kScaled && NV * kLanes <= kRowWinogradColumns;
+}
+
 // acc = the bias and the products of all runs.
 template <class Operand, int MR, int NV, class D>
 HWY_INLINE void multiply_runs(D d, const Words& a, int row, const Panel& panel,
                               hn::Vec<D> (&acc)[MR][NV]) {
+  if constexpr (can_be_transformed<Operand, NV>()) {
+    if (a.rows.transformed) {
+      return multiply_transformed<Operand>(d, a.rows, row, panel.words<Operand>(),
+                                           panel.matrix.bias + panel.at(0), acc);
+    }
+  }
   if constexpr (Operand::kScaled) {
     add_scaled_run<Operand, true, MR, NV>(d, a, row, 0, panel, acc);
     for (int r = 1; r < a.rows.runs; ++r) {

@@ -89,6 +89,9 @@ struct RowInput {
   int run_length = 0;
   std::ptrdiff_t stride = 0;
   int rows = 0;
+  // Whether every two rows share the words of the first, as row_winograd-inl.h says; the matrix is
+  // pack_row_winograd's.
+  bool transformed = false;
 
   // Whether the rows are windows of three pixels, each a pixel further: a 3x3 convolution's.
   bool are_windows() const { return run_length == 3 * stride; }
