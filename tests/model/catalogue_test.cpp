@@ -85,7 +85,10 @@ TEST(Catalogues, OfTheProjectAreWellFormed) {
   ASSERT_TRUE(research) << research.status().text();
   const Result<Catalogue> open = read_catalogue("model/data/open.toml");
   ASSERT_TRUE(open) << open.status().text();
+  const Result<Catalogue> rooms = read_catalogue("model/data/rooms.toml");
+  ASSERT_TRUE(rooms) << rooms.status().text();
   EXPECT_FALSE(research->licence.empty());
+  EXPECT_FALSE(rooms->licence.empty());
   EXPECT_EQ(research->test.size(), open->test.size());
   for (const CatalogueEntry& entry : open->train) {
     if (entry.use.wide_share + entry.use.tall_share == 0) continue;  // only measures

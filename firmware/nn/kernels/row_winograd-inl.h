@@ -18,8 +18,8 @@ HWY_BEFORE_NAMESPACE();
 namespace lcdm::kernels {
 namespace HWY_NAMESPACE {
 
-// Calls put(d, pair, c, product) with the channels from c on of each pair of pixels, of what its
-// four products multiply. `pixels` is [2 * pairs + 2, channels].
+// Calls put(d, pair, c, d1 + d2, d2 - d1, d0 - d2, d3 - d1) with the channels from c on of every
+// pair of pixels. `pixels` is [2 * pairs + 2, channels].
 template <class Put>
 HWY_INLINE void transform_pairs(const float* pixels, int pairs, int channels, const Put& put) {
   const std::ptrdiff_t step = channels;
@@ -38,13 +38,13 @@ HWY_INLINE void transform_pairs(const float* pixels, int pairs, int channels, co
 HWY_INLINE void transform_to_floats(const float* pixels, int pairs, int channels, float* out) {
   const std::ptrdiff_t step = channels;
   transform_pairs(pixels, pairs, channels,
-                  [=](auto d, int pair, std::size_t c, auto m0, auto m1, auto m2, auto m3)
+                  [=](auto d, int pair, std::size_t c, auto sum, auto rise, auto left, auto right)
                       HWY_ATTR {
                         float* to = out + pair * kRowProducts * step + c;
-                        hn::StoreU(m0, d, to);
-                        hn::StoreU(m1, d, to + step);
-                        hn::StoreU(m2, d, to + 2 * step);
-                        hn::StoreU(m3, d, to + 3 * step);
+                        hn::StoreU(sum, d, to);
+                        hn::StoreU(rise, d, to + step);
+                        hn::StoreU(left, d, to + 2 * step);
+                        hn::StoreU(right, d, to + 3 * step);
                       });
 }
 
@@ -52,12 +52,12 @@ HWY_INLINE void transform_to_halves(const float* pixels, int pairs, int channels
 #if LCDM_NATIVE_BFLOAT16
   const std::ptrdiff_t pixel = channels / 2;
   transform_pairs(pixels, pairs, channels,
-                  [=](auto d, int pair, std::size_t c, auto m0, auto m1, auto m2, auto m3)
+                  [=](auto d, int pair, std::size_t c, auto sum, auto rise, auto left, auto right)
                       HWY_ATTR {
                         if constexpr (hn::MaxLanes(decltype(d)()) > 1) {  // channels come in fours
                           const hn::Half<decltype(d)> half;
-                          const auto first = Bfloat16Operand::joined(d, m0, m1);
-                          const auto last = Bfloat16Operand::joined(d, m2, m3);
+                          const auto first = Bfloat16Operand::joined(d, sum, rise);
+                          const auto last = Bfloat16Operand::joined(d, left, right);
                           float* to = out + pair * kRowProducts * pixel + c / 2;
                           hn::StoreU(hn::LowerHalf(half, first), half, to);
                           hn::StoreU(hn::UpperHalf(half, first), half, to + pixel);

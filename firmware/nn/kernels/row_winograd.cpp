@@ -23,37 +23,50 @@ bool row_winograd_pays(int stride, int channels, int columns, Precision precisio
   return is_by_two(columns) || (columns > vector_lanes() && columns <= kRowWinogradColumns);
 }
 
+namespace {
+
+// Where a weight of the matrix comes from.
+struct Place {
+  int product;
+  int row;   // of the kernel
+  int word;  // of the pixel
+  int column;
+};
+
+// Of word `at` of a lane. First come both products that both pixels share, of all kernel rows, then
+// the two of one pixel each: of one word at a time a vector of either product, or of two words two
+// vectors of either, with half the columns each.
+Place place_of(int at, int lane, int pixel, bool by_two) {
+  const int together = by_two ? 2 : 1;
+  const int vector = at % together;
+  const int product = at / together % 2;
+  at /= 2 * together;
+  const int steps = pixel / together;
+  Place place = {at / steps / 3 * 2 + product, at / steps % 3, at % steps * together, lane};
+  if (by_two) {
+    place.word += lane % 2;
+    place.column = kRowWinogradColumns / 2 * vector + lane / 2;
+  }
+  return place;
+}
+
+}  // namespace
+
 PackedMatrix pack_row_winograd(int channels, int columns,
                                const std::function<float(int, int, int)>& weight,
                                std::span<const float> bias, std::span<float> out,
                                Precision precision) {
+  LCDM_CHECK(row_winograd_pays(1, channels, columns, precision));
   constexpr double kTransform[kRowProducts][3] = {
       {0.5, 0.5, 0.5}, {0.5, -0.5, 0.5}, {1, 0, 0}, {0, 0, 1}};
-  LCDM_CHECK(row_winograd_pays(1, channels, columns, precision));
   const int per_word = numbers_per_word(precision);
-  const int pixel = channels / per_word;
-  // First both products that both pixels have, of all three kernel rows, then those of one each: of
-  // one word, or two, of a pixel at a time, both products' one vector, or two, side by side.
-  const bool by_two = is_by_two(columns);
-  const int together = by_two ? 2 : 1;
   const auto transformed = [&](int k, int lane) {
-    int at = k / per_word;
-    const int vector = at % together;
-    at /= together;
-    const int product = at % 2;
-    at /= 2;
-    int word = at % (pixel / together) * together;
-    at /= pixel / together;
-    const double* of_taps = kTransform[at / 3 * 2 + product];
-    int column = lane;
-    if (by_two) {
-      word += lane % 2;
-      column = kRowWinogradColumns / 2 * vector + lane / 2;
-    }
+    const Place p = place_of(k / per_word, lane, channels / per_word, is_by_two(columns));
+    const int channel = p.word * per_word + k % per_word;
     double sum = 0;
     for (int tap = 0; tap < 3; ++tap) {
-      sum += of_taps[tap] * static_cast<double>(
-                                weight(word * per_word + k % per_word, column, 3 * (at % 3) + tap));
+      const auto w = static_cast<double>(weight(channel, p.column, 3 * p.row + tap));
+      sum += kTransform[p.product][tap] * w;
     }
     return static_cast<float>(sum);
   };
