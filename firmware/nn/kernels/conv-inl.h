@@ -102,7 +102,7 @@ class ConvRows {
                      conv_->width / conv_->stride};
     if (conv_->row_winograd) {
       rows.run_length = kRowProducts * pixel;
-      rows.stride = 2 * pixel;
+      rows.stride = std::ptrdiff_t{2} * pixel;
       rows.transformed = true;
     }
     if (conv_->weights.precision == Precision::kFloat32) {

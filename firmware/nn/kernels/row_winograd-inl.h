@@ -40,7 +40,7 @@ HWY_INLINE void transform_to_floats(const float* pixels, int pairs, int channels
   transform_pairs(pixels, pairs, channels,
                   [=](auto d, int pair, std::size_t c, auto sum, auto rise, auto left, auto right)
                       HWY_ATTR {
-                        float* to = out + pair * kRowProducts * step + c;
+                        float* to = out + pair * step * kRowProducts + c;
                         hn::StoreU(sum, d, to);
                         hn::StoreU(rise, d, to + step);
                         hn::StoreU(left, d, to + 2 * step);
@@ -58,7 +58,7 @@ HWY_INLINE void transform_to_halves(const float* pixels, int pairs, int channels
                           const hn::Half<decltype(d)> half;
                           const auto first = Bfloat16Operand::joined(d, sum, rise);
                           const auto last = Bfloat16Operand::joined(d, left, right);
-                          float* to = out + pair * kRowProducts * pixel + c / 2;
+                          float* to = out + pair * pixel * kRowProducts + c / 2;
                           hn::StoreU(hn::LowerHalf(half, first), half, to);
                           hn::StoreU(hn::UpperHalf(half, first), half, to + pixel);
                           hn::StoreU(hn::LowerHalf(half, last), half, to + 2 * pixel);
@@ -67,7 +67,8 @@ HWY_INLINE void transform_to_halves(const float* pixels, int pairs, int channels
                       });
 #else
   HWY_ALIGN float numbers[kRowProducts * kRowWinogradChannels];
-  for (int pair = 0; pair < pairs; ++pair, pixels += 2 * channels, out += 2 * channels) {
+  const std::ptrdiff_t step = 2 * static_cast<std::ptrdiff_t>(channels);
+  for (int pair = 0; pair < pairs; ++pair, pixels += step, out += step) {
     transform_to_floats(pixels, 1, channels, numbers);
     Bfloat16Operand::narrow(numbers, kRowProducts * channels, out);
   }
@@ -98,7 +99,7 @@ HWY_INLINE hn::Vec<D> words_at(D d, const float* at) {
 template <class Operand, bool kTwo, int kRows, int NV, class D>
 HWY_INLINE void accumulate_products(D d, const float* pairs, std::ptrdiff_t pixel, const float* w,
                                     hn::Vec<D> (&sums)[kRows][NV]) {
-  for (std::ptrdiff_t k = 0; k < pixel; k += kTwo ? 2 : 1, w += 2 * NV * kLanes) {
+  for (std::ptrdiff_t k = 0; k < pixel; k += kTwo ? 2 : 1, w += kLanes * 2 * NV) {
     const float* at = pairs + k;
     LCDM_UNROLL for (int m = 0; m < kRows; m += 2, at += kRowProducts * pixel) {
       const auto first = words_at<kTwo>(d, at);
@@ -126,7 +127,7 @@ HWY_INLINE void multiply_transformed(D d, const RowInput& rows, int row, const f
                                      const float* bias, hn::Vec<D> (&acc)[MR][NV]) {
   constexpr int kRows = MR + MR % 2;
   constexpr bool kTwo = kByTwo<NV, D>;
-  constexpr int kVectors = kTwo ? 2 : NV;
+  constexpr int kVectors = kTwo ? 2 * NV : NV;
   const std::ptrdiff_t pixel = rows.run_length / kRowProducts;
   const std::ptrdiff_t run_words = 2 * pixel * NV * static_cast<std::ptrdiff_t>(kLanes);
   const std::ptrdiff_t first = row * rows.stride;
