@@ -257,7 +257,7 @@ HWY_INLINE void add_scaled_run(D d, const Words& a, int row, int r, const Panel&
 // What row_winograd_pays may choose: larger tiles are compiled without it.
 template <class Operand, int NV>
 constexpr bool can_be_transformed() {
-  return !Operand::kScaled && NV * kLanes <= kRowWinogradColumns;
+  return !Operand::kScaled && kLanes != kRowWinogradNotLanes && NV * kLanes <= kRowWinogradColumns;
 }
 
 // acc = the bias and the products of all runs.

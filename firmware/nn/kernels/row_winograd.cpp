@@ -14,13 +14,16 @@ bool is_by_two(int columns) {
 }  // namespace
 
 // To more columns F(4x4, 3x3) or bytes are faster; to fewer each word that is read serves one
-// product, and the reading takes what the products save.
+// product, and the reading takes what the products save. So it does with AVX2, whose 16 registers
+// hold few sums for each weight.
 bool row_winograd_pays(int stride, int channels, int columns, Precision precision) {
   if (precision != Precision::kFloat32 && precision != Precision::kBfloat16) return false;
   if (stride != 1 || channels == 0 || channels > kRowWinogradChannels || channels % 4 != 0) {
     return false;
   }
-  return is_by_two(columns) || (columns > vector_lanes() && columns <= kRowWinogradColumns);
+  const int lanes = vector_lanes();
+  if (lanes == kRowWinogradNotLanes) return false;
+  return is_by_two(columns) || (columns > lanes && columns <= kRowWinogradColumns);
 }
 
 namespace {

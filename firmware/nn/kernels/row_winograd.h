@@ -22,6 +22,7 @@ inline constexpr int kRowProducts = 4;  // of a pair of pixels and one kernel ro
 // The most that it is made for.
 inline constexpr int kRowWinogradChannels = 32;
 inline constexpr int kRowWinogradColumns = 16;
+inline constexpr int kRowWinogradNotLanes = 8;  // vectors that it is not made for: AVX2's
 
 // Whether it saves time, in sums of that precision, for so many channels in and out.
 bool row_winograd_pays(int stride, int channels, int columns, Precision precision);
