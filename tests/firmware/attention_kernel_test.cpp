@@ -89,6 +89,35 @@ TEST(AttentionKernel, MixesHalves) {
   });
 }
 
+// One key has score s, the others 0, and it alone has a value: p, so that p / (1 - p) is e^s over
+// the number of the others. e^s is as exact as halves of it need, whatever the fraction of s.
+TEST(AttentionKernel, PowersBesideHalvesAreWithinOnePercent) {
+  for_each_isa([] {
+    for (const Precision precision : {Precision::kFloat16, Precision::kBfloat16}) {
+      if (support_of(precision) == Support::kNone) continue;
+      SCOPED_TRACE(to_string(precision));
+      constexpr int kTokens = 81;
+      constexpr int kChannels = 2;
+      const auto score = [](int token) { return static_cast<float>(token - kTokens / 2) / 40; };
+      std::vector<float> qkv(std::size_t{3} * kChannels * kTokens);
+      for (int token = 0; token < kTokens; ++token) {
+        qkv[static_cast<std::size_t>(token) * 3 * kChannels] = score(token) * std::sqrt(2.0F);
+      }
+      qkv[kChannels] = 1;      // the first key
+      qkv[2 * kChannels] = 1;  // its value
+      std::vector<float> out(std::size_t{kTokens} * kChannels);
+      const Attention a = {qkv.data(), 1, kTokens, kChannels, 1, out.data(), precision};
+      std::vector<float> scratch(attention_scratch(a));
+      attention_range(a, 0, attention_items(a), scratch.data());
+      for (int token = 0; token < kTokens; ++token) {
+        const float p = out[static_cast<std::size_t>(token) * kChannels];
+        const float power = p / (1 - p) * (kTokens - 1);
+        EXPECT_NEAR(power / std::exp(score(token)), 1, .015) << "score " << score(token);
+      }
+    }
+  });
+}
+
 TEST(AttentionKernel, NeedsRoomForKeysAndValuesOnlyWhereTheyAreMadeNarrow) {
   for_each_isa([] {
     Attention a = {nullptr, 1, 33, 4 * 30, 4, nullptr};

@@ -2,9 +2,13 @@
 #pragma once
 
 #include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstdint>
 #include <vector>
 
 #include "firmware/nn/kernels/conv.h"
+#include "firmware/nn/kernels/words.h"
 #include "tests/firmware/image.h"
 
 namespace lcdm::kernels {
@@ -61,6 +65,43 @@ inline void expect_convolved(const Image& in, const Filter& filter, const Conv3x
 inline ConvInput as_input(const Image& image, const std::vector<float>& values,
                           Upsampling upsampling) {
   return {values.data(), image.height, image.width, image.channels, upsampling};
+}
+
+// A convolution of an image in memory; weights and output are the caller's.
+inline Conv3x3 conv_of(const Image& image, const std::vector<float>& values,
+                       Padding padding = Padding::kZero) {
+  Conv3x3 conv;
+  conv.inputs[0] = as_input(image, values, Upsampling::kNone);
+  conv.height = image.height;
+  conv.width = image.width;
+  conv.channels = image.channels;
+  conv.padding = padding;
+  return conv;
+}
+
+// Its rows in two calls, the later ones first.
+inline void convolve_in_two(const Conv3x3& conv) {
+  const ConvChain chain = {{conv}, 1};
+  std::vector<float> scratch(conv3x3_scratch(chain));
+  const int rows = conv.height / conv.stride;
+  conv3x3_rows(chain, rows / 2, rows, scratch.data());
+  conv3x3_rows(chain, 0, rows / 2, scratch.data());
+}
+
+// Pixels [height, columns] two by two, as RowOutput says, are these, [height, width, columns].
+inline void expect_in_pairs(const std::vector<float>& words, const Image& want) {
+  const int pairs = (want.width + 1) / 2;
+  for (int y = 0; y < want.height; ++y) {
+    for (int x = 0; x < want.width; ++x) {
+      for (int n = 0; n < want.channels; ++n) {
+        const int at = (y * pairs + x / 2) * want.channels + n;
+        const auto word = std::bit_cast<std::uint32_t>(words[static_cast<std::size_t>(at)]);
+        const float got = x % 2 == 0 ? bfloat16_first(word) : bfloat16_second(word);
+        const double pixel = want.at(y, x, n);
+        ASSERT_NEAR(got, pixel, 2e-3 + std::fabs(pixel) / 256) << y << ", " << x << ", " << n;
+      }
+    }
+  }
 }
 
 }  // namespace lcdm::kernels

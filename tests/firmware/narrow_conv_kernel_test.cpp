@@ -1,11 +1,7 @@
 // 3x3 convolutions of narrow numbers, plain and chained, against loops one can check by eye.
-#include <bit>
-#include <cmath>
-#include <cstdint>
 #include <gtest/gtest.h>
 
 #include "firmware/nn/kernels/conv.h"
-#include "firmware/nn/kernels/words.h"
 #include "tests/firmware/convolutions.h"
 #include "tests/firmware/image.h"
 
@@ -23,50 +19,23 @@ struct WholeConv {
   }
 };
 
-// Pixels [height, columns] two by two, as RowOutput says, as floats [height, width, columns].
-std::vector<float> apart(const std::vector<float>& words, int height, int width, int columns) {
-  std::vector<float> out;
-  for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      for (int n = 0; n < columns; ++n) {
-        const int at = (y * ((width + 1) / 2) + x / 2) * columns + n;
-        const auto word = std::bit_cast<std::uint32_t>(words[static_cast<std::size_t>(at)]);
-        out.push_back(x % 2 == 0 ? bfloat16_first(word) : bfloat16_second(word));
-      }
-    }
-  }
-  return out;
-}
-
 void check_narrow_conv(const WholeConv& whole, Precision precision, int stride, Padding padding,
                        bool paired = false) {
   SCOPED_TRACE(testing::Message() << to_string(precision) << ", stride " << stride);
   const Image& image = whole.image;
   const Filter& filter = whole.filter;
   const auto values = to_floats(image.values);
+  const Image want = filter.of(image, stride, padding);
   std::vector<float> store;
-  const int rows = image.height / stride;
-  std::vector<float> out(static_cast<std::size_t>(rows * image.width / stride * filter.columns));
-  Conv3x3 conv;
-  conv.inputs[0] = as_input(image, values, Upsampling::kNone);
-  conv.height = image.height;
-  conv.width = image.width;
-  conv.channels = image.channels;
+  std::vector<float> out(want.values.size());
+  Conv3x3 conv = conv_of(image, values, padding);
   conv.stride = stride;
-  conv.padding = padding;
   conv.weights = filter.narrow(precision, store, 3);
   conv.output = out.data();
   conv.paired = paired;
-  const ConvChain chain = {{conv}, 1};
-  std::vector<float> scratch(conv3x3_scratch(chain));
-  conv3x3_rows(chain, rows / 2, rows, scratch.data());
-  conv3x3_rows(chain, 0, rows / 2, scratch.data());
-  const Image want = filter.of(image, stride, padding);
-  if (!paired) return expect_near(out, want, 2e-3);
-  const std::vector<float> pixels = apart(out, rows, image.width / stride, filter.columns);
-  for (std::size_t i = 0; i < pixels.size(); ++i) {
-    ASSERT_NEAR(pixels[i], want.values[i], 2e-3 + std::fabs(want.values[i]) / 256) << i;
-  }
+  convolve_in_two(conv);
+  if (paired) return expect_in_pairs(out, want);
+  expect_near(out, want, 2e-3);
 }
 
 TEST(NarrowConv3x3Kernel, ConvolvesAnySizeStrideAndPadding) {

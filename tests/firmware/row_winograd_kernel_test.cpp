@@ -46,31 +46,25 @@ void for_each_row_winograd(Check&& check) {
 }
 
 // Whole numbers, which halves hold exactly and add up exactly, transformed or not.
-void check_row_winograd(Random& random, const Shape3x3& shape, Precision precision,
-                        Padding padding) {
+void check_row_winograd(Random& random, const Shape3x3& shape, Precision precision, Padding padding,
+                        bool paired = false) {
   SCOPED_TRACE(testing::Message() << shape.width << " pixels of " << shape.channels);
   Image image = make_image(random, shape.height, shape.width, shape.channels);
   Filter filter(random, shape.columns, shape.channels, 3);
   make_whole(random, image);
   make_whole(random, filter);
   const auto values = to_floats(image.values);
+  const Image want = filter.of(image, 1, padding);
   std::vector<float> store;
-  Conv3x3 conv;
-  conv.inputs[0] = as_input(image, values, Upsampling::kNone);
-  conv.height = image.height;
-  conv.width = image.width;
-  conv.channels = image.channels;
-  conv.padding = padding;
+  std::vector<float> out(want.values.size());
+  Conv3x3 conv = conv_of(image, values, padding);
   conv.row_winograd = true;
   conv.weights = transformed(filter, 0, store, precision);
-  std::vector<float> out(static_cast<std::size_t>(image.height * image.width * filter.columns));
   conv.output = out.data();
-  const ConvChain chain = {{conv}, 1};
-  std::vector<float> scratch(conv3x3_scratch(chain));
-  const int cut = image.height / 2;
-  conv3x3_rows(chain, cut, image.height, scratch.data());
-  conv3x3_rows(chain, 0, cut, scratch.data());
-  expect_near(out, filter.of(image, 1, padding), 2e-3);
+  conv.paired = paired;
+  convolve_in_two(conv);
+  if (paired) return expect_in_pairs(out, want);
+  expect_near(out, want, 2e-3);
 }
 
 TEST(RowWinogradKernel, ConvolvesAnySizeAndPadding) {
@@ -88,6 +82,17 @@ TEST(RowWinogradKernel, ConvolvesAnySizeAndPadding) {
   });
 }
 
+// As conv1 of the head's condition is stored.
+TEST(RowWinogradKernel, StoresPixelsInPairs) {
+  for_each_row_winograd([](Precision precision, int columns) {
+    if (precision != Precision::kBfloat16 || columns > vector_lanes()) return;
+    Random random(24);
+    for (const int width : {2, 7, 8, 17, 26}) {
+      check_row_winograd(random, {3, width, 16, columns}, precision, Padding::kZero, true);
+    }
+  });
+}
+
 // Random numbers: as exact as plain sums of floats, and of halves where neighbours are alike.
 TEST(RowWinogradKernel, IsAsExactAsPlainSums) {
   for_each_row_winograd([](Precision precision, int columns) {
@@ -100,31 +105,24 @@ TEST(RowWinogradKernel, IsAsExactAsPlainSums) {
     }
     const Filter filter(random, columns, 16, 3);
     const auto values = to_floats(image.values);
-    std::vector<float> stores[2];
-    std::vector<float> outs[2];
-    Conv3x3 conv;
-    conv.inputs[0] = as_input(image, values, Upsampling::kNone);
-    conv.height = image.height;
-    conv.width = image.width;
-    conv.channels = image.channels;
     const Image want = filter.of(image);
-    double errors[2] = {};
-    for (const std::size_t by_rows : {0U, 1U}) {
-      std::vector<float>& out = outs[by_rows];
-      out.resize(want.values.size());
-      conv.row_winograd = by_rows == 1;
-      conv.weights = by_rows == 1 ? transformed(filter, 0, stores[1], precision)
-                                  : filter.narrow(precision, stores[0], 3);
-      conv.output = out.data();
-      const ConvChain chain = {{conv}, 1};
-      std::vector<float> scratch(conv3x3_scratch(chain));
-      conv3x3_rows(chain, 0, conv.height, scratch.data());
+    Conv3x3 conv = conv_of(image, values);
+    std::vector<float> store;
+    std::vector<float> out(want.values.size());
+    conv.output = out.data();
+    double errors[2] = {};  // squared
+    for (const bool by_rows : {false, true}) {
+      conv.row_winograd = by_rows;
+      conv.weights =
+          by_rows ? transformed(filter, 0, store, precision) : filter.narrow(precision, store, 3);
+      convolve_in_two(conv);
       for (std::size_t i = 0; i < out.size(); ++i) {
         const double error = static_cast<double>(out[i]) - want.values[i];
-        errors[by_rows] += error * error;
+        errors[by_rows ? 1 : 0] += error * error;
       }
     }
-    EXPECT_LT(errors[1], 2 * errors[0]);  // errors are squared
+    EXPECT_GT(errors[0], 0);
+    EXPECT_LT(errors[1], 2 * errors[0]);
   });
 }
 

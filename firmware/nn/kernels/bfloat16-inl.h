@@ -58,8 +58,8 @@ struct Bfloat16Operand {
     return hn::BitCast(d, hn::Set(hn::RebindToUnsigned<D>(), 0x3F803F80U));
   }
 
-  // The pair 2^low, 2^high, within 1 % and .3 % in the mean, for powers within 126 of 0; of -127 it
-  // is 0.
+  // The pair 2^low, 2^high, within 1 % (.3 % root mean square), for powers within 126 of 0; of -127
+  // it is 0.
   template <class D, class V = hn::Vec<D>>
   static HWY_INLINE V pair_of_powers(D d, V low, V high) {
 #if LCDM_NATIVE_BFLOAT16
