@@ -12,11 +12,12 @@
 #define HWY_DISABLED_TARGETS ~(LCDM_SANITIZED_TARGET | HWY_NEON | HWY_EMU128 | HWY_SCALAR)
 #else
 // Scalable vectors cannot be held in arrays or structures; SSSE3 and what newer versions of Highway
-// split off AVX-512 and NEON would only add size: we ask the processor for its narrow products
-// ourselves (kernels/operand-inl.h). What remains: scalar, SSE4, AVX2, AVX-512, NEON.
-#define HWY_DISABLED_TARGETS                                                              \
-  (HWY_SSSE3 | HWY_AVX3_DL | HWY_AVX3_ZEN4 | HWY_AVX3_SPR | HWY_AVX10_2 | HWY_NEON_BF16 | \
-   HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128)
+// split off AVX-512, NEON and SSE4 would only add size: we ask the processor for its narrow
+// products ourselves (kernels/operand-inl.h). What remains: scalar, SSE4, AVX2, AVX-512, NEON (of
+// newer versions for cores without AES too, where narrow products are not native).
+#define HWY_DISABLED_TARGETS                                                         \
+  (HWY_SSE2 | HWY_SSSE3 | HWY_AVX3_DL | HWY_AVX3_ZEN4 | HWY_AVX3_SPR | HWY_AVX10_2 | \
+   HWY_NEON_BF16 | HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128)
 #endif
 
 #include "hwy/detect_targets.h"
@@ -30,6 +31,9 @@
 #endif
 #ifndef HWY_AVX3_SPR
 #define HWY_AVX3_SPR 0
+#endif
+#ifndef HWY_SSE2
+#define HWY_SSE2 0
 #endif
 #ifndef HWY_AVX10_2
 #define HWY_AVX10_2 0

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <system_error>
 #include <utility>
 
 #include "firmware/base/check.h"
@@ -113,8 +114,8 @@ Result<std::unique_ptr<Engine>> Engine::prepare(const ModelFile& model,
                                                 const FrameFormat& format,
                                                 const CameraModel& camera) {
   LCDM_RETURN_IF_ERROR(check_options(options, camera));
-  const NetworkSize size = options.width > 0 ? NetworkSize{options.width, options.height}
-                                             : choose_network_size(model.config(), camera);
+  const NetworkSize size = options.width != 0 ? NetworkSize{options.width, options.height}
+                                              : choose_network_size(model.config(), camera);
   Result<Network> network = Network::build(model.config(), size.width, size.height);
   if (!network) return network.status();
   LCDM_RETURN_IF_ERROR(network->check_weights(model));
@@ -127,8 +128,16 @@ Result<std::unique_ptr<Engine>> Engine::prepare(const ModelFile& model,
   Result<Program> program = Program::build(
       *network, model, {options.threads, options.keep_tensors, {depth_scale, options.precision}});
   if (!program) return program.status();
-  return std::unique_ptr<Engine>(new Engine(std::move(*network), std::move(*program),
-                                            std::move(*preprocess), options, *depth_camera, model));
+  try {
+    return std::unique_ptr<Engine>(new Engine(std::move(*network), std::move(*program),
+                                              std::move(*preprocess), options, *depth_camera,
+                                              model));
+  } catch (const std::system_error& refused) {  // by the worker pool
+    return Status::error(StatusCode::kOutOfMemory,
+                         "cannot start the engine's %d threads: %s: fewer in model.threads, or a "
+                         "higher limit (ulimit -u, TasksMax= of the service)",
+                         options.threads, refused.what());
+  }
 }
 
 Engine::Engine(Network network, Program program, Preprocess preprocess,

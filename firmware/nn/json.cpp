@@ -7,6 +7,28 @@
 #include "firmware/base/printable.h"
 
 namespace lcdm {
+namespace {
+
+// RFC 3629: no stray or missing bytes, none longer than they need be, no halves of surrogate pairs.
+bool is_utf8(std::string_view text) {
+  for (std::size_t i = 0; i < text.size();) {
+    const auto first = static_cast<unsigned char>(text[i]);
+    const std::size_t bytes = first < 0x80 ? 1 : first < 0xE0 ? 2 : first < 0xF0 ? 3 : 4;
+    if ((first >= 0x80 && first < 0xC2) || first > 0xF4 || i + bytes > text.size()) return false;
+    std::uint32_t code = bytes == 1 ? first : first & (0x7FU >> bytes);
+    for (std::size_t k = 1; k < bytes; ++k) {
+      const auto next = static_cast<unsigned char>(text[i + k]);
+      if ((next & 0xC0U) != 0x80) return false;
+      code = code << 6 | (next & 0x3FU);
+    }
+    constexpr std::uint32_t kLeast[] = {0, 0, 0x80, 0x800, 0x10000};
+    if (code < kLeast[bytes] || code > 0x10FFFF || (code >= 0xD800 && code < 0xE000)) return false;
+    i += bytes;
+  }
+  return true;
+}
+
+}  // namespace
 
 std::optional<double> JsonValue::number() const {
   return kind_ == Kind::kNumber ? std::optional(number_) : std::nullopt;
@@ -148,7 +170,8 @@ class JsonParser {
       const char c = text_[at_];
       ++at_;
       if (c == '"') {
-        return find_control(out) == std::string::npos || fail("control character in a string");
+        if (find_control(out) != std::string::npos) return fail("control character in a string");
+        return is_utf8(out) || fail("a string that is not UTF-8");
       }
       if (c != '\\') {
         out += c;

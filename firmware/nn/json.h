@@ -1,5 +1,6 @@
 // A small JSON reader for untrusted text (RFC 8259): model headers and their metadata. Its strings
-// may be printed: one with a control character, however it is written, is refused.
+// may be printed: one with a control character, however it is written, or that is not UTF-8, is
+// refused.
 #pragma once
 
 #include <cstddef>

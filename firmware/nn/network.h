@@ -56,7 +56,8 @@ enum class Upsampling : std::uint8_t { kNone, kNearest, kBilinear };  // x2, whi
 // What products multiply: those of 1x1 convolutions, of linear layers, of attention and of 3x3
 // convolutions where Winograd's algorithm is not faster. They add in float (kInt8: exactly). From
 // the most exact on: where the processor or a layer cannot have one, it has the next above.
-// Activations are rough beside narrow products; the first block stays in float.
+// Activations are rough beside narrow products. What projects the first block stays in float, and
+// beside fp16, or int8 without bf16, all of that block.
 enum class Precision : std::uint8_t {
   kFloat32,
   kFloat16,  // adds some products in half precision, those sums in float

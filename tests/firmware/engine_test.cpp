@@ -279,6 +279,7 @@ TEST(Engine, PrepareSaysWhatCannotBeUsed) {
   };
   EXPECT_THAT(refusal({640, 0}, kFormat, kCamera), HasSubstr("both sides"));
   EXPECT_THAT(refusal({65, 64}, kFormat, kCamera), HasSubstr("multiples of 32"));
+  EXPECT_THAT(refusal({-64, 640}, kFormat, kCamera), HasSubstr("multiples of 32"));
   EXPECT_THAT(refusal({64, 64, 0}, kFormat, kCamera), HasSubstr("threads"));
   EXPECT_THAT(refusal({64, 64, 1000}, kFormat, kCamera), HasSubstr("threads"));
   EXPECT_THAT(refusal({64, 64}, {PixelFormat::kMjpeg, 150, 110, 0}, kCamera), HasSubstr("MJPEG"));

@@ -3,6 +3,7 @@
 #include <bit>
 #include <cmath>
 #include <gtest/gtest.h>
+#include <limits>
 #include <utility>
 
 #include "firmware/nn/kernels/head.h"
@@ -267,6 +268,17 @@ TEST(DepthKernel, TurnsLogitsIntoMetresBetweenATenthAndAHundred) {
       const double expected = 3 / (0.01 + 9.99 / (1 + std::exp(-logit)));
       ASSERT_NEAR(static_cast<double>(metres[i]) / expected, 1, 1e-6) << state[i];
     }
+  });
+}
+
+// A sum that overflowed: its pixel has no depth, its neighbours keep theirs.
+TEST(DepthKernel, MakesNoMetresOfNoNumber) {
+  for_each_isa([] {
+    constexpr float kInfinite = std::numeric_limits<float>::infinity();
+    const float state[] = {0, std::numeric_limits<float>::quiet_NaN(), kInfinite, -kInfinite, 0};
+    float metres[5];
+    depth_range({state, 1, 0, 1, metres}, 0, 5);
+    for (int i = 0; i < 5; ++i) EXPECT_EQ(std::isnan(metres[i]), i >= 1 && i <= 3) << i;
   });
 }
 

@@ -81,6 +81,20 @@ TEST(Json, RefusesStringsThatWouldSteerATerminal) {
   EXPECT_EQ(parse_json(R"("\u00a0\u011b")")->text(), "\xC2\xA0\xC4\x9B") << "no control characters";
 }
 
+// 0x9B alone steers some terminals too; the other is a line feed in two bytes.
+TEST(Json, RefusesStringsThatAreNotUtf8) {
+  for (const char* text : {"\"x\x9B"
+                           "2J\"",
+                           "\"\xC0\x8A\"", "\"\xE2\x82\"", "\"\xED\xA0\x80\"",
+                           "\"\xF4\x90\x80\x80\"", "{\"\xFF\": 1}"}) {
+    const auto value = parse_json(text);
+    EXPECT_EQ(value.code(), StatusCode::kCorrupt) << text;
+    EXPECT_THAT(value.status().text(), testing::HasSubstr("UTF-8")) << text;
+  }
+  const char* fine = "\"d\xC4\x9B \xE2\x82\xAC \xF0\x9F\x98\x80\"";
+  EXPECT_TRUE(parse_json(fine)) << fine;
+}
+
 TEST(Json, NamesThePlaceOfTheError) {
   EXPECT_STREQ(parse_json("[1, oops]").status().text(), "JSON: expected a value at byte 4");
 }

@@ -160,18 +160,26 @@ TEST(MatrixKernel, ActivatesWithinTheLastBitsOfHalves) {
 }
 
 // So that a sum that overflowed shows as no depth, not as some.
-TEST(MatrixKernel, SiluOfNoNumberIsNone) {
+TEST(MatrixKernel, NoNumberStaysNone) {
   for_each_isa([] {
-    const float row[] = {std::numeric_limits<float>::quiet_NaN(), 0};
-    for (const Precision precision : {Precision::kFloat32, Precision::kBfloat16}) {
-      if (support_of(precision) == Support::kNone) continue;
+    const float row[] = {std::numeric_limits<float>::quiet_NaN(), 0, 0, 0};
+    for (const Precision precision :
+         {Precision::kFloat32, Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
+      // The stand-in for halves has no such numbers.
+      const bool halves = precision == Precision::kFloat16;
+      if (support_of(precision) < (halves ? Support::kNative : Support::kSlow)) continue;
       const int columns = vector_lanes();
-      std::vector<float> packed(packed_floats(2, columns, precision));
+      std::vector<float> packed(packed_floats(4, columns, precision));
       const PackedMatrix ones = pack_matrix(
-          2, columns, [](int, int) { return 1.0F; }, {}, packed, precision);
-      std::vector<float> out(static_cast<std::size_t>(columns));
-      multiply_rows({{row}, 1, 2, 2, 1}, ones, {out.data(), nullptr, columns, Activation::kSilu});
-      for (const float value : out) EXPECT_TRUE(std::isnan(value)) << to_string(precision);
+          4, columns, [](int, int) { return 1.0F; }, {}, packed, precision);
+      for (const Activation activation :
+           {Activation::kNone, Activation::kSilu, Activation::kElu, Activation::kRelu}) {
+        std::vector<float> out(static_cast<std::size_t>(columns));
+        multiply_rows({{row}, 1, 4, 4, 1}, ones, {out.data(), nullptr, columns, activation});
+        for (const float value : out) {
+          EXPECT_TRUE(std::isnan(value)) << to_string(precision) << static_cast<int>(activation);
+        }
+      }
     }
   });
 }

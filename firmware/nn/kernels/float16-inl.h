@@ -43,7 +43,8 @@ HWY_INLINE float largest_magnitude(const float* from, std::ptrdiff_t stride, int
 struct Float16Operand {
   static constexpr Precision kPrecision = Precision::kFloat16;
   static constexpr bool kScaled = true;
-  // As exact as 16 (README, "Narrow products"), and adding up the blocks costs half as much.
+  // As exact as 16 (PERFORMANCE.md, "How exact narrow products are"), and adding up the blocks
+  // costs half as much.
   static constexpr int kBlock = 32;
 
   template <class D, class V = hn::Vec<D>>

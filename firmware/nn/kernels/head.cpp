@@ -49,7 +49,10 @@ void depth(const ToDepth& t, int begin, int end) {
     const auto e = exp_approx(d, hn::Sub(hn::Zero(d), logit));
     const auto disparity = hn::MulAdd(e, hn::Set(d, 0.01F), hn::Set(d, 10.0F));
     const auto metres = hn::Div(hn::Add(hn::Set(d, 1.0F), e), disparity);
-    hn::StoreU(hn::Mul(metres, hn::Set(d, t.scale)), d, t.metres + at);
+    // Clamped powers are numbers: where the logit is none, or infinite, it takes the metres with
+    // it.
+    const auto none = hn::Sub(logit, logit);
+    hn::StoreU(hn::MulAdd(metres, hn::Set(d, t.scale), none), d, t.metres + at);
   });
 }
 

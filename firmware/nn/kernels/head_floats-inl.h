@@ -60,7 +60,7 @@ HWY_INLINE void hidden_pixels(const HeadStep& s, int y, int x, std::size_t place
       }
     }
     LCDM_UNROLL for (std::size_t i = 0; i < kPixels; ++i) {
-      hn::StoreU(s.relu ? hn::Max(h[i], hn::Zero(d)) : h[i], d, out + i * pitch + c);
+      hn::StoreU(s.relu ? rectified(d, h[i]) : h[i], d, out + i * pitch + c);
     }
   });
 }

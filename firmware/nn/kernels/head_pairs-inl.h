@@ -135,7 +135,7 @@ class HeadPairs {
       add_state(state_slot(row) + x, s_.composed + taps * kLanes, h);
     }
     LCDM_UNROLL for (std::size_t i = 0; i < kPixels; ++i) {
-      if (s_.relu) h[i] = hn::Max(h[i], hn::Zero(d));
+      if (s_.relu) h[i] = rectified(d, h[i]);
       if (s_.hidden == nullptr || !own_.has(y)) continue;
       hn::StoreU(h[i], d, s_.hidden + (static_cast<std::size_t>(y) * width_ + x + i) * kLanes);
     }

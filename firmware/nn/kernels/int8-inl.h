@@ -84,13 +84,17 @@ struct Int8Operand {
     hn::StoreU(hn::Xor(byte, hn::Set(d8, kTurned)), d8, to);
   }
 
-  // Two chains of minima and maxima, whose latency is otherwise what they cost.
+  // Two chains of minima and maxima, whose latency is otherwise what they cost. Those pass over
+  // what is no number; its product with zero does not, and then there is no least.
   static HWY_INLINE RowRange range_of(const float* from, std::size_t count) {
     const FullTag d;
     FullVec low = hn::Set(d, from[0]);
     FullVec high = low;
     FullVec low2 = low;
     FullVec high2 = low;
+    const FullVec zero = hn::Zero(d);
+    FullVec none = zero;
+    FullVec none2 = zero;
     std::size_t i = 0;
     for (; i + 2 * kLanes <= count; i += 2 * kLanes) {
       const FullVec v = hn::LoadU(d, from + i);
@@ -99,15 +103,20 @@ struct Int8Operand {
       high = hn::Max(high, v);
       low2 = hn::Min(low2, v2);
       high2 = hn::Max(high2, v2);
+      none = hn::MulAdd(v, zero, none);
+      none2 = hn::MulAdd(v2, zero, none2);
     }
     for (; i < count; ++i) {
-      low = hn::Min(low, hn::Set(d, from[i]));
-      high = hn::Max(high, hn::Set(d, from[i]));
+      const FullVec v = hn::Set(d, from[i]);
+      low = hn::Min(low, v);
+      high = hn::Max(high, v);
+      none = hn::MulAdd(v, zero, none);
     }
     low = hn::Min(low, low2);
     high = hn::Max(high, high2);
     const float least = hn::GetLane(hn::MinOfLanes(d, low));
-    return {least, (hn::GetLane(hn::MaxOfLanes(d, high)) - least) / 255.0F};
+    const float scale = (hn::GetLane(hn::MaxOfLanes(d, high)) - least) / 255.0F;
+    return {least + hn::GetLane(hn::SumOfLanes(d, hn::Add(none, none2))), scale};
   }
 };
 

@@ -103,7 +103,7 @@ HWY_INLINE V rough_exp_minus(D d, V x) {
 template <class D, class V>
 HWY_INLINE V rough_reciprocal([[maybe_unused]] D d, V x) {
   const V r = hn::ApproximateReciprocal(x);
-  if constexpr (HWY_TARGET == HWY_NEON) {  // where the estimate has 8 bits
+  if constexpr (HWY_ARCH_ARM) {  // where the estimate has 8 bits
     return hn::Mul(r, hn::NegMulAdd(x, r, hn::Set(d, 2.0F)));
   } else {
     return r;
@@ -146,6 +146,13 @@ HWY_INLINE FullVec silu_by_table(FullTag d, FullVec x) {
 }
 #endif
 
+// max(x, 0); where x is not a number, neither is this.
+template <class D, class V>
+HWY_INLINE V rectified(D d, V x) {
+  return hn::IfThenElse(hn::Lt(x, hn::Zero(d)), hn::Zero(d), x);
+}
+
+// What is no number stays none: a sum that overflowed must not come out as some depth.
 // kRough, beside narrow products: within 1e-4 and 5e-4 of the value; SiLU of whole AVX-512 vectors
 // within 4e-4.
 template <Activation kActivation, bool kRough = false, class D, class V>
@@ -163,11 +170,11 @@ HWY_INLINE V activate(D d, V x) {
   } else if constexpr (kActivation == Activation::kSilu) {
     return hn::Mul(x, reciprocal(d, hn::Add(one, exp_approx(d, hn::Sub(zero, x)))));
   } else if constexpr (kActivation == Activation::kElu && kRough) {
-    return hn::IfThenElse(hn::Gt(x, zero), x, hn::Sub(rough_exp_minus(d, hn::Abs(x)), one));
+    return hn::IfThenElse(hn::Lt(x, zero), hn::Sub(rough_exp_minus(d, hn::Abs(x)), one), x);
   } else if constexpr (kActivation == Activation::kElu) {
-    return hn::IfThenElse(hn::Gt(x, zero), x, hn::Sub(exp_approx(d, x), one));
+    return hn::IfThenElse(hn::Lt(x, zero), hn::Sub(exp_approx(d, x), one), x);
   } else if constexpr (kActivation == Activation::kRelu) {
-    return hn::Max(x, zero);
+    return rectified(d, x);
   } else {
     return x;
   }
