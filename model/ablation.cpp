@@ -40,12 +40,27 @@ std::string folder_name(const AblationRow& row, int seed) {
   return name;
 }
 
+std::string text_of(const Pack& pack) {
+  const PackUse& use = pack.use;
+  char text[512];
+  std::snprintf(text, sizeof(text),
+                "trains on %zu frames of %s: teacher %d%s%s, alignment %d, trust %g, shares %g and "
+                "%g, things %g, field of view %g%s%s\n",
+                pack.train.size(), use.name.c_str(), static_cast<int>(use.teacher),
+                use.teacher == Teacher::kMaps ? " of " : "",
+                use.teacher == Teacher::kMaps ? use.maps.c_str() : "",
+                static_cast<int>(use.alignment), static_cast<double>(use.weight),
+                static_cast<double>(use.wide_share), static_cast<double>(use.tall_share),
+                static_cast<double>(use.things), static_cast<double>(use.field_of_view),
+                use.video ? ", video" : "", use.learn_intrinsics ? ", intrinsics learned" : "");
+  return text;
+}
+
 // Everything that decides what a row becomes, in words.
 std::string text_of(const Recipe& recipe, const Data& data) {
   std::string text = recipe_text(recipe);
-  for (const Pack& pack : data.packs) {
-    text += "trains on " + std::to_string(pack.train.size()) + " frames of " + pack.use.name + "\n";
-  }
+  for (const Pack& pack : data.packs) text += text_of(pack);
+  text += "medleys painted with " + std::to_string(data.photographs) + " photographs\n";
   return text;
 }
 
@@ -83,6 +98,8 @@ Status train_row(const Recipe& recipe, const Data& data, const Compute& compute,
     const bool save = (*trainer)->step() % kSaveEvery == 0 || (*trainer)->done();
     if (save) LCDM_RETURN_IF_ERROR((*trainer)->save(checkpoint));
   }
+  const std::string note = (*trainer)->frames().note();
+  if (!note.empty()) std::fprintf(stderr, "%s\n", note.c_str());
   return Status::ok();
 }
 

@@ -281,6 +281,29 @@ Batch Batch::to(const torch::Device& device) const {
   return map([&](const torch::Tensor& all) { return all.to(device); });
 }
 
+void DrawnFrames::add(const Batch& batch) {
+  drawn_ += batch.rgb.size(0);
+  unreadable_ += batch.unreadable;
+  if (batch.unreadable > 0) why_ = batch.why_unreadable;
+}
+
+Status DrawnFrames::check() const {
+  constexpr std::int64_t kFew = 10;
+  constexpr double kMostUnreadable = 0.02;  // of those drawn
+  const bool few = unreadable_ < kFew ||
+                   static_cast<double>(unreadable_) < kMostUnreadable * static_cast<double>(drawn_);
+  if (few) return Status::ok();
+  return Status::error(
+      StatusCode::kCorrupt, "%lld of %lld drawn frames cannot be read: mend the data; the last: %s",
+      static_cast<long long>(unreadable_), static_cast<long long>(drawn_), why_.text());
+}
+
+std::string DrawnFrames::note() const {
+  if (unreadable_ == 0) return {};
+  return std::to_string(unreadable_) +
+         " frames could not be read and were replaced by others; the last: " + why_.text();
+}
+
 BatchLoader::BatchLoader(const std::vector<Pack>& packs, std::vector<BatchShape> shapes,
                          std::uint64_t seed, std::uint64_t first, std::size_t ahead)
     : packs_(packs), shapes_(std::move(shapes)), seed_(seed), number_(first) {

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <deque>
 #include <future>
+#include <string>
 #include <vector>
 
 #include "model/pack.h"
@@ -66,6 +67,21 @@ Result<AugmentedSample> augment(const Pack& pack, std::size_t index, const Batch
 // and replaced by others. The error of the last one where most cannot.
 Result<Batch> make_batch(const std::vector<Pack>& packs, const BatchShape& shape,
                          std::uint64_t seed, std::uint64_t number);
+
+// Frames that were drawn, and those of them that could not be read.
+class DrawnFrames {
+ public:
+  void add(const Batch& batch);
+  // kCorrupt where they are too many for a damaged file or two: the data is broken.
+  Status check() const;
+  // What to tell at the end; empty where all could be read.
+  std::string note() const;
+
+ private:
+  std::int64_t drawn_ = 0;
+  std::int64_t unreadable_ = 0;
+  Status why_;  // the last of them
+};
 
 // Makes the batches `first`, `first` + 1, ... ahead, each in a thread of its own, `ahead` at a
 // time.

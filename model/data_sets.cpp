@@ -141,11 +141,12 @@ Result<Alignment> alignment_in(const fs::path& maps) {
 
 // A pack of the user's own: trusted, for both shapes alike. Where it has no depth of a sensor it
 // has a teacher's.
-Result<CatalogueEntry> own_entry(const fs::path& folder) {
+Result<CatalogueEntry> own_entry(const fs::path& folder, bool video) {
   CatalogueEntry entry;
   PackUse& use = entry.use;
   entry.path = use.name = folder.filename().string();
   use.wide_share = use.tall_share = 1;
+  use.video = video;
   entry.protocol = *protocol_named("rgbd");
   const std::string maps = maps_in(folder);
   if (!maps.empty()) use.maps = maps;
@@ -182,7 +183,7 @@ void add_rendered(Data& data, Rendering rendering, const RenderedUse& use) {
   options.train_frames = use.frames;
   options.wide_share = use.wide_share;
   options.tall_share = use.tall_share;
-  options.photographs = use_photographs_of(data.packs, use.photographs);
+  data.photographs = options.photographs = use_photographs_of(data.packs, use.photographs);
   add(data, rendered_pack(options), *protocol_named("scene"));
 }
 
@@ -211,11 +212,16 @@ void add_data_options(CLI::App& command, DataOptions& options) {
       .add_option("--scene-frames", options.scene_frames,
                   "Rendered training frames of each kind, instead of the catalogue's number")
       ->check(CLI::Range(std::size_t{0}, kMostRenderedFrames));
+  auto* pack =
+      command
+          .add_option("--pack", options.packs,
+                      "Train on this pack (rgb/, intrinsics.json, and depth/ or a teacher's maps "
+                      "in teacher*/) instead of the catalogue's; may be given again")
+          ->check(CLI::ExistingDirectory);
   command
-      .add_option("--pack", options.packs,
-                  "Train on this pack (rgb/, intrinsics.json, and depth/ or a teacher's maps in "
-                  "teacher*/) instead of the catalogue's; may be given again")
-      ->check(CLI::ExistingDirectory);
+      .add_flag("--video", options.video,
+                "The pictures of --pack are a video: neighbouring names are neighbours in time")
+      ->needs(pack);
 }
 
 Result<Data> load_training_data(const DataOptions& options) {
@@ -233,7 +239,7 @@ Result<Data> load_training_data(const DataOptions& options) {
   };
   for (const std::string& folder : options.packs) {
     const fs::path path = fs::canonical(folder);
-    const Result<CatalogueEntry> entry = own_entry(path);
+    const Result<CatalogueEntry> entry = own_entry(path, options.video);
     if (!entry) return entry.status();
     LCDM_RETURN_IF_ERROR(take(*entry, path.parent_path()));
   }

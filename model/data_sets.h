@@ -17,6 +17,7 @@ struct DataOptions {
   std::string catalogue = "model/data/research.toml";
   std::string root;                // instead of the catalogue's
   std::vector<std::string> packs;  // folders to train on instead of the catalogue's
+  bool video = false;              // those are
   std::size_t every = 1;           // n-th frame of each pack
   std::optional<std::size_t> scene_frames;
 };
@@ -26,6 +27,7 @@ struct Data {
   std::string licence;
   std::vector<Pack> packs;
   std::vector<Protocol> protocols;  // of each pack
+  int photographs = 0;              // that medleys are painted with
 };
 // The training packs, each split into training and validation, the renderings last.
 Result<Data> load_training_data(const DataOptions& options);

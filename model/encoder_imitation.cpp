@@ -181,9 +181,12 @@ Status imitate(const MeterEncoder& meter, DepthNetwork& network, BatchLoader& lo
   network->eval();
   Optimizer optimizer(OptimizerKind::kAdamW, *network->encoder, /*weight_decay=*/0,
                       at::get_num_threads());
+  DrawnFrames frames;
   for (std::int64_t step = 0; step < steps; ++step) {
     const Result<Batch> batch = loader.next();
     if (!batch) return batch.status();
+    frames.add(*batch);
+    LCDM_RETURN_IF_ERROR(frames.check());
     const auto errors = imitation_errors(meter, network->encoder, batch->rgb);
     network->zero_grad();
     torch::stack(std::vector<torch::Tensor>(errors.begin(), errors.end())).sum().backward();

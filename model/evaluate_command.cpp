@@ -79,31 +79,40 @@ void print_row(const std::string& set, const std::string& name, const SetResult&
   } else {
     std::printf(" |\n");
   }
-  if (result.missing > 0) {
-    std::fprintf(stderr, "%s, %s: %zu frames have no usable estimate or no ground truth\n",
-                 set.c_str(), name.c_str(), result.missing);
-  }
   std::fflush(stdout);
 }
 
+void print_missing(const std::string& set, const std::string& name, const SetResult& result) {
+  if (result.missing == 0) return;
+  std::fprintf(stderr, "%s, %s: %zu frames could not be measured; the last: %s\n", set.c_str(),
+               name.c_str(), result.missing, result.why_missing.text());
+}
+
 // At most four frames of a set, evenly spaced.
-void write_pictures(const fs::path& folder, const Pack& pack, const Candidate& candidate) {
+Status write_pictures(const fs::path& folder, const Pack& pack, const Candidate& candidate) {
   fs::create_directories(folder);
-  const std::size_t stride = std::max<std::size_t>(1, pack.validation.size() / 4);
-  for (std::size_t i = 0; i < pack.validation.size(); i += stride) {
-    const Result<PackFrame> frame = pack.frames->read(pack.validation[i]);
+  constexpr std::size_t kMost = 4;
+  const std::size_t pictures = std::min(kMost, pack.validation.size());
+  for (std::size_t i = 0; i < pictures; ++i) {
+    const Result<PackFrame> frame =
+        pack.frames->read(pack.validation[i * pack.validation.size() / pictures]);
     if (!frame) continue;
     const cv::Mat estimate = candidate.estimator(*frame);
     if (estimate.empty()) continue;
     std::string name = pack.use.name + "-" + frame->name + "-" + candidate.name + ".png";
     std::replace(name.begin(), name.end(), '/', '-');
-    cv::imwrite((folder / name).string(), comparison_picture(*frame, {estimate}));
+    const std::string path = (folder / name).string();
+    if (!cv::imwrite(path, comparison_picture(*frame, {estimate}))) {
+      return Status::error(StatusCode::kIoError, "--pictures: cannot write %s", path.c_str());
+    }
   }
+  return Status::ok();
 }
 
-void evaluate_pack(const Options& options, const Pack& pack, Protocol protocol,
-                   std::vector<Candidate> candidates, FrameTable& table) {
-  if (pack.validation.empty()) return;
+// How many frames of the pack the first candidate was measured on; the others stand beside it.
+Result<std::size_t> evaluate_pack(const Options& options, const Pack& pack, Protocol protocol,
+                                  std::vector<Candidate> candidates, FrameTable& table) {
+  if (pack.validation.empty()) return std::size_t{0};
   // Against the teacher's own maps there is nothing to learn about the teacher; and they are of the
   // pictures as they were, not of blurred ones.
   if (const fs::path maps = maps_beside_depth(pack); !maps.empty() && options.blur == 0) {
@@ -113,16 +122,21 @@ void evaluate_pack(const Options& options, const Pack& pack, Protocol protocol,
   if (protocol.median_scaling) candidates.push_back({"constant", constant_estimator()});
   SetResult first;
   for (const Candidate& candidate : candidates) {
-    const SetResult result =
+    SetResult result =
         evaluate(*pack.frames, pack.validation, protocol, candidate.estimator, options.blur);
-    if (result.frames.empty()) continue;
-    const bool is_first = first.frames.empty();
-    print_row(pack.use.name, candidate.name, result,
-              is_first ? Difference() : paired_difference(result, first, &Metrics::abs_rel));
-    table.add(pack.use.name, candidate.name, result);
-    if (is_first) first = result;
+    print_missing(pack.use.name, candidate.name, result);
+    const bool is_first = &candidate == &candidates.front();
+    if (!result.frames.empty()) {
+      print_row(pack.use.name, candidate.name, result,
+                is_first ? Difference() : paired_difference(result, first, &Metrics::abs_rel));
+      table.add(pack.use.name, candidate.name, result);
+    }
+    if (is_first) first = std::move(result);
   }
-  if (!options.pictures.empty()) write_pictures(options.pictures, pack, candidates.front());
+  if (!options.pictures.empty()) {
+    LCDM_RETURN_IF_ERROR(write_pictures(options.pictures, pack, candidates.front()));
+  }
+  return first.frames.size();
 }
 
 bool is_asked_for(const Options& options, const Pack& pack) {
@@ -158,13 +172,20 @@ Status evaluate_all(const Options& options, const std::vector<Candidate>& candid
       "| set | estimate | frames | AbsRel | SqRel | RMSE | RMSElog | d1 | d2 | d3 | AbsRel minus "
       "the "
       "first's [95 %%] |\n|---|---|---|---|---|---|---|---|---|---|---|\n");
+  std::size_t measured = 0;
   for (std::size_t i = 0; i < data->packs.size(); ++i) {
     const Pack& pack = data->packs[i];
-    if (is_asked_for(options, pack)) {
-      evaluate_pack(options, pack, data->protocols[i], candidates, table);
-    }
+    if (!is_asked_for(options, pack)) continue;
+    const Result<std::size_t> frames =
+        evaluate_pack(options, pack, data->protocols[i], candidates, table);
+    if (!frames) return frames.status();
+    measured += *frames;
   }
-  return table.finish();
+  LCDM_RETURN_IF_ERROR(table.finish());
+  if (measured > 0) return Status::ok();
+  return Status::error(StatusCode::kInvalidInput,
+                       "%s could not be measured on any frame (the reasons stand above)",
+                       candidates.front().name.c_str());
 }
 
 // The device's engine at each precision; says in the end how far its depth was from `exact`.

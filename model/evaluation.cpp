@@ -222,21 +222,39 @@ cv::Mat motion_blurred(const cv::Mat& rgb, double length, std::size_t index) {
   return blurred;
 }
 
+namespace {
+
+Result<FrameResult> evaluate_frame(const Frames& set, std::size_t index, const Protocol& protocol,
+                                   const Estimator& estimator, double blur) {
+  Result<PackFrame> frame = set.read(index);
+  if (!frame) return frame.status();
+  if (blur > 0) frame->rgb = motion_blurred(frame->rgb, blur, index);
+  const cv::Mat estimate = estimator(*frame);
+  if (estimate.empty()) {
+    return Status::error(StatusCode::kNotFound, "%s: no estimate", frame->name.c_str());
+  }
+  FrameResult result{frame->name, {}};
+  if (measure(estimate, frame->depth, protocol, result.metrics)) return result;
+  return Status::error(StatusCode::kCorrupt,
+                       "%s: no ground truth where it counts, or an estimate without depth there",
+                       frame->name.c_str());
+}
+
+}  // namespace
+
 SetResult evaluate(const Frames& set, const std::vector<std::size_t>& frames,
                    const Protocol& protocol, const Estimator& estimator, double blur) {
   SetResult result;
   std::vector<Metrics> all;
   for (const std::size_t index : frames) {
-    Result<PackFrame> frame = set.read(index);
-    if (frame && blur > 0) frame->rgb = motion_blurred(frame->rgb, blur, index);
-    const cv::Mat estimate = frame ? estimator(*frame) : cv::Mat();
-    Metrics metrics;
-    if (estimate.empty() || !measure(estimate, frame->depth, protocol, metrics)) {
+    const Result<FrameResult> frame = evaluate_frame(set, index, protocol, estimator, blur);
+    if (!frame) {
       ++result.missing;
+      result.why_missing = frame.status();
       continue;
     }
-    all.push_back(metrics);
-    result.frames.push_back({frame->name, metrics});
+    all.push_back(frame->metrics);
+    result.frames.push_back(*frame);
   }
   result.mean = mean_of(all);
   return result;

@@ -50,6 +50,7 @@ struct SetResult {
   Metrics mean;
   std::vector<FrameResult> frames;
   std::size_t missing = 0;  // frames without usable estimate, ground truth or readable files
+  Status why_missing;       // of the last of them
 };
 // `blur`: length of a motion blur in pixels, 0 for none.
 SetResult evaluate(const Frames& set, const std::vector<std::size_t>& frames,

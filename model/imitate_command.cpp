@@ -14,6 +14,8 @@ namespace lcdm::model {
 namespace {
 
 constexpr int kImages = 8;  // of a batch
+constexpr const char* kMeterNotice =
+    "; the encoder began as METER's (MIT, Copyright (c) 2022 lorenzopapa5)";
 
 struct Options {
   std::string meter;
@@ -67,6 +69,7 @@ Status run(const Options& options) {
                                }));
   TensorFile file;
   collect(*network->encoder, "", file.tensors);
+  file.metadata["licence"] = data->licence + kMeterNotice;
   LCDM_RETURN_IF_ERROR(write_tensors(options.output, file));
   std::printf("%s: %zu tensors, for train --encoder-weights\n", options.output.c_str(),
               file.tensors.size());

@@ -2,7 +2,10 @@
 #include <CLI/CLI.hpp>
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <opencv2/core.hpp>
+#include <string>
+#include <system_error>
 #include <unistd.h>
 
 #include "firmware/base/exit_code.h"
@@ -33,7 +36,9 @@ void restart_with_environment(char** argv) {
 #endif
   // oneDNN 2.6's AMX convolutions make bf16 gradients that are not finite.
   setenv("ONEDNN_MAX_CPU_ISA", "AVX512_CORE_BF16", 0);
-  execv("/proc/self/exe", argv);
+  std::error_code error;
+  const std::string program = std::filesystem::read_symlink("/proc/self/exe", error).string();
+  if (!error) execv(program.c_str(), argv);  // by its own name, for ps and pkill
 }
 
 // A recipe of another command would be left out without a word.

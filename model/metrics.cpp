@@ -91,7 +91,7 @@ bool measure(const cv::Mat& estimate, const cv::Mat& truth, const Protocol& prot
       if (!(depth > protocol.nearest && depth < protocol.farthest)) continue;
       g.push_back(depth);
       p.push_back(resized.at<float>(y, x));
-      if (std::isnan(p.back())) return false;
+      if (!(p.back() > 0)) return false;  // resizing makes 0 of what is no number
     }
   }
   if (g.empty()) return false;

@@ -36,8 +36,8 @@ Result<Protocol> protocol_named(const std::string& name);
 
 // One image. `estimate`: CV_32F depth of any size and scale, resized bilinearly as inverse depth to
 // the ground truth's; `truth`: CV_32F metres, 0 = unknown. Medians are those of the counted pixels.
-// False where no pixel counts, where the estimate of one that does is no number, or where its
-// median is nothing to scale by.
+// False where no pixel counts, where the estimate of one that does is not positive (0: none) or no
+// number, or where its median is nothing to scale by.
 bool measure(const cv::Mat& estimate, const cv::Mat& truth, const Protocol& protocol,
              Metrics& metrics);
 

@@ -20,8 +20,8 @@ using dataset::MatFile;
 
 constexpr const char* kLabelled = "nyu_depth_v2_labeled.mat";
 constexpr double kMillimetre = 0.001;
-// Of the colour camera: camera_params.m of the authors' toolbox.
-constexpr CameraModel kCamera{640, 480, 518.857901F, 519.469611F, 325.582449F, 253.736166F, true};
+// Of the colour camera: camera_params.m of the authors' toolbox, whose pixels count from 1.
+constexpr CameraModel kCamera{640, 480, 518.857901F, 519.469611F, 324.582449F, 252.736166F, true};
 
 // A picture and its depth as PackFrame; `file` names them in errors.
 Result<PackFrame> frame_of(const std::string& name, const cv::Mat& rgb, const cv::Mat& depth,

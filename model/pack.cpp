@@ -6,6 +6,7 @@
 #include <map>
 #include <opencv2/imgproc.hpp>
 
+#include "drivers/replay/files.h"
 #include "firmware/base/folder.h"
 #include "firmware/nn/json.h"
 #include "model/dataset_files.h"
@@ -23,13 +24,34 @@ constexpr std::size_t kKeptFrames = 1500;
 constexpr std::size_t kMostJsonBytes = 16U << 20;
 constexpr float kMostPixels = 1e6F;  // of a focal length
 
-std::vector<fs::path> files_of(const fs::path& folder, const std::string& extension) {
-  const auto all = list_folder(folder);
-  if (!all) return {};
+// The pictures of a folder; kInvalidInput: two of one name.
+Result<std::vector<fs::path>> pictures_in(const fs::path& folder) {
   std::vector<fs::path> files;
-  std::copy_if(all->begin(), all->end(), std::back_inserter(files),
-               [&](const fs::path& file) { return file.extension() == extension; });
+  const auto all = list_folder(folder);
+  if (!all) return files;
+  std::copy_if(all->begin(), all->end(), std::back_inserter(files), [&](const fs::path& file) {
+    return file.extension() == ".jpg" || file.extension() == ".png";
+  });
+  std::map<std::string, fs::path> of_name;
+  for (const fs::path& file : files) {
+    const auto [other, is_new] = of_name.emplace(file.stem().string(), file);
+    if (is_new) continue;
+    return Status::error(StatusCode::kInvalidInput,
+                         "%s and %s would be one frame: take one of them away",
+                         other->second.c_str(), file.filename().c_str());
+  }
   return files;
+}
+
+// In their order in time: "frame2" before "frame10". Of a pack, or else of a clip.
+Result<std::vector<fs::path>> pictures_of(const fs::path& folder) {
+  Result<std::vector<fs::path>> pictures = pictures_in(folder / "rgb");
+  if (pictures && pictures->empty()) pictures = pictures_in(folder);
+  if (!pictures) return pictures.status();
+  std::sort(pictures->begin(), pictures->end(), [](const fs::path& a, const fs::path& b) {
+    return replay::natural_less(a.filename().string(), b.filename().string());
+  });
+  return pictures;
 }
 
 // What intrinsics.json says that training needs.
@@ -264,15 +286,13 @@ std::shared_ptr<const Frames> keep_in_memory(const Frames& frames, bool video) {
   return std::make_shared<MemoryFrames>(std::move(kept), video, std::move(unreadable));
 }
 
-std::vector<fs::path> pictures_of(const fs::path& folder, std::size_t every) {
-  std::vector<fs::path> all;
-  for (const fs::path& place : {folder / "rgb", folder}) {  // the second: a clip
-    for (const char* extension : {".jpg", ".png"}) {
-      if (all.empty()) all = files_of(place, extension);
-    }
+// Of the parts of all frames those that are kept, as indices of what is kept: what is left out does
+// not move a frame from one part to the other.
+std::vector<std::size_t> every_nth(const std::vector<std::size_t>& part, std::size_t every) {
+  std::vector<std::size_t> kept;
+  for (const std::size_t index : part) {
+    if (index % every == 0) kept.push_back(index / every);
   }
-  std::vector<fs::path> kept;
-  for (std::size_t i = 0; i < all.size(); i += every) kept.push_back(all[i]);
   return kept;
 }
 
@@ -306,10 +326,17 @@ Split split_frames(const std::vector<std::string>& names) {
 
 Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, std::size_t every) {
   const fs::path folder = root / use.name;
-  std::vector<fs::path> pictures = pictures_of(folder, every);
-  if (pictures.empty()) {
+  const Result<std::vector<fs::path>> all = pictures_of(folder);
+  if (!all) return all.status();
+  if (all->empty()) {
     return Status::error(StatusCode::kNotFound, "%s/rgb holds no .jpg or .png: is this a pack?",
                          folder.c_str());
+  }
+  std::vector<std::string> names;
+  std::vector<fs::path> pictures;
+  for (const fs::path& picture : *all) {
+    if (names.size() % every == 0) pictures.push_back(picture);
+    names.push_back(picture.stem().string());
   }
   const Result<Intrinsics> intrinsics = read_intrinsics(folder);
   if (!intrinsics) return intrinsics.status();
@@ -323,18 +350,17 @@ Result<Pack> load_pack(const fs::path& root, const PackUse& use, int max_width, 
   if (max_width < kFullWidth && pack.frames->size() <= kKeptFrames) {
     pack.frames = keep_in_memory(*pack.frames, use.video);
   }
-  std::vector<std::string> names;
-  for (std::size_t i = 0; i < pack.frames->size(); ++i) names.push_back(pack.frames->name(i));
-  Split split = split_frames(names);
-  pack.train = std::move(split.train);
-  pack.validation = std::move(split.validation);
+  const Split split = split_frames(names);
+  pack.train = every_nth(split.train, every);
+  pack.validation = every_nth(split.validation, every);
   return pack;
 }
 
 fs::path maps_beside_depth(const Pack& pack) {
   if (pack.folder.empty() || pack.use.teacher != Teacher::kSensor) return {};
   fs::path maps = pack.folder / pack.use.maps;
-  return fs::is_directory(maps) ? maps : fs::path();
+  const bool whole = fs::is_directory(maps) && !fs::exists(maps / "band.json");
+  return whole ? maps : fs::path();
 }
 
 cv::Mat resize_inverse(const cv::Mat& depth, cv::Size size) {

@@ -61,12 +61,13 @@ Split split_frames(const std::vector<std::string>& names);
 // (with band.json), or of a clip: pictures and intrinsics.txt (fx fy cx cy) side by side. Pictures
 // wider than `max_width` are reduced. Up to 1,500 frames are read at once and kept in memory,
 // larger packs when they are needed; a broken one fails in read(), by its name. kNotFound: no such
-// folder; kCorrupt: the pack cannot be used, its file named in the text. `every` > 1 keeps every
-// n-th frame.
+// folder; kCorrupt, kInvalidInput: the pack cannot be used, its file named in the text. `every` > 1
+// keeps every n-th frame, in the part where it is without.
 Result<Pack> load_pack(const std::filesystem::path& root, const PackUse& use, int max_width,
                        std::size_t every = 1);
 
-// Where a teacher's maps lie beside a pack's own depth, to be compared with; empty: nowhere.
+// Where a teacher's maps of whole pictures lie beside a pack's own depth, to be compared with;
+// empty: nowhere.
 std::filesystem::path maps_beside_depth(const Pack& pack);
 
 // Inverse depth resized bilinearly. 0 where anything of a hole would go in.

@@ -41,9 +41,15 @@ Status run(const Options& options) {
                          "record without camera.calibration for training",
                          options.recording.c_str());
   }
-  LCDM_RETURN_IF_ERROR(camera.start());
   const fs::path rgb = fs::path(options.output) / "rgb";
   std::error_code error;
+  if (fs::exists(rgb, error) && !fs::is_empty(rgb, error)) {
+    return Status::error(StatusCode::kUsage,
+                         "--output %s holds a pack: another recording's pictures would mix with "
+                         "its own; give another folder",
+                         options.output.c_str());
+  }
+  LCDM_RETURN_IF_ERROR(camera.start());
   fs::create_directories(rgb, error);
   if (error) return Status::system(error.value(), "cannot make the folder %s", rgb.c_str());
 

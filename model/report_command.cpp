@@ -121,10 +121,17 @@ void add_accuracy(HtmlPage& page, const Pack& pack, const Protocol& protocol,
                   const std::vector<Candidate>& candidates, Chart& accuracy) {
   SetResult first;
   std::vector<std::vector<std::string>> rows;
+  std::vector<std::string> missing;
   Series series;
   series.name = pack.use.name;
   for (const Candidate& candidate : candidates) {
     const SetResult result = evaluate(*pack.frames, pack.validation, protocol, candidate.estimator);
+    if (result.missing > 0) {
+      missing.push_back(candidate.name + ": " + std::to_string(result.missing) +
+                        " frames could not be measured; the last: " + result.why_missing.text());
+    }
+    const bool is_first = &candidate == &candidates.front();
+    if (is_first) first = result;
     if (result.frames.empty()) continue;
     const Metrics& m = result.mean;
     std::vector<std::string> row = {candidate.name, std::to_string(result.frames.size())};
@@ -132,8 +139,7 @@ void add_accuracy(HtmlPage& page, const Pack& pack, const Protocol& protocol,
          {m.abs_rel, m.sq_rel, m.rmse, m.rmse_log, m.delta1, m.delta2, m.delta3}) {
       row.push_back(number_text(value, 3));
     }
-    if (first.frames.empty()) {
-      first = result;
+    if (is_first || first.frames.empty()) {
       row.push_back("");
     } else {
       const Difference d = paired_difference(result, first, &Metrics::abs_rel);
@@ -149,6 +155,7 @@ void add_accuracy(HtmlPage& page, const Pack& pack, const Protocol& protocol,
   page.table({pack.use.name, "frames", "AbsRel", "SqRel", "RMSE", "RMSElog", "d1", "d2", "d3",
               "difference [95 %]"},
              rows);
+  for (const std::string& note : missing) page.note(note);
   if (!series.x.empty()) accuracy.series.push_back(series);
 }
 

@@ -20,8 +20,6 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::size_t kValidationFrames = 24;  // of each pack
-// More frames than this share of those drawn cannot be read: the data is broken, not a file.
-constexpr double kMostUnreadable = 0.02;
 
 volatile std::sig_atomic_t stop_asked = 0;
 
@@ -104,17 +102,13 @@ class Run {
     while (!trainer_.done() && !processes.any(stop_asked != 0)) {
       const Result<Losses> losses = trainer_.advance();
       if (!losses) return losses.status();
-      LCDM_RETURN_IF_ERROR(check_frames());
       if (!log) continue;
       log->add(trainer_, *losses);
       if (is_time(options_.validate_every)) LCDM_RETURN_IF_ERROR(keep_the_best(*log));
       if (is_time(options_.save_every)) LCDM_RETURN_IF_ERROR(trainer_.save(last()));
     }
-    if (trainer_.unreadable() > 0) {
-      std::fprintf(stderr,
-                   "%lld frames could not be read and were replaced by others; the last: %s\n",
-                   static_cast<long long>(trainer_.unreadable()), trainer_.why_unreadable());
-    }
+    const std::string note = trainer_.frames().note();
+    if (!note.empty()) std::fprintf(stderr, "%s\n", note.c_str());
     for (const LearnedFocal& focal : trainer_.learned_focals()) {
       if (!leads_) break;
       std::printf("%s: focal lengths fx %.3f, fy %.3f times the assumed ones\n", focal.pack.c_str(),
@@ -128,21 +122,14 @@ class Run {
     return every > 0 && (trainer_.step() % every == 0 || trainer_.done());
   }
 
-  Status check_frames() const {
-    const auto bad = static_cast<double>(trainer_.unreadable());
-    if (bad < 10 || bad < kMostUnreadable * static_cast<double>(trainer_.drawn())) {
-      return Status::ok();
-    }
-    return Status::error(StatusCode::kCorrupt,
-                         "%lld of %lld drawn frames cannot be read: mend the data; the last: %s",
-                         static_cast<long long>(trainer_.unreadable()),
-                         static_cast<long long>(trainer_.drawn()), trainer_.why_unreadable());
-  }
-
   Status keep_the_best(TrainingLog& log) {
     const int steps = trainer_.has_head() ? static_cast<int>(trainer_.config().steps.size()) : 0;
     const Validation validation =
         validate(trainer_.averaged(), steps, trainer_.share(), data_, kValidationFrames);
+    if (!validation.fault) {
+      std::fprintf(stderr, "step %lld: no score, a set could not be measured: %s\n",
+                   static_cast<long long>(trainer_.step()), validation.fault.text());
+    }
     const bool better = trainer_.update_best(validation.score);
     log.add(trainer_, validation, better);
     return better ? trainer_.save(best_in(folder_).string()) : Status::ok();

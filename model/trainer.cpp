@@ -71,6 +71,7 @@ Result<std::unique_ptr<Trainer>> Trainer::make(const Recipe& recipe, const std::
     }
   }
   LCDM_RETURN_IF_ERROR(check_shares(packs));
+  if (recipe.losses.photometric > 0) LCDM_RETURN_IF_ERROR(check_neighbours(packs));
   ModelConfig config = model_config_of(recipe);
   if (recipe.preset == PresetKind::kLcdm) {
     LCDM_RETURN_IF_ERROR(measure_variable(config, recipe, packs));
@@ -172,6 +173,10 @@ Result<ImportReport> Trainer::start_encoder_from(const TensorFile& file, Channel
   MobileVit& encoder = networks_->depth->encoder;
   auto report = import_mobilevit(file, order, encoder);
   if (!report) return report;
+  if (const auto licence = file.metadata.find("licence"); licence != file.metadata.end()) {
+    std::string& all = networks_->depth->config.licence;
+    all += (all.empty() ? "" : "; ") + licence->second;
+  }
   LCDM_RETURN_IF_ERROR(measure(*encoder, Answers::kNormalise));
   spread_weights();
   return report;
@@ -331,8 +336,8 @@ Result<Losses> Trainer::advance() {
   for (int k = 0; k < recipe_.accumulate; ++k) {
     const Result<Batch> batch = loader_->next();
     if (!batch) return batch.status();
-    unreadable_ += batch->unreadable;
-    if (batch->unreadable > 0) why_unreadable_ = batch->why_unreadable;
+    frames_.add(*batch);
+    LCDM_RETURN_IF_ERROR(frames_.check());
     images += batch->rgb.size(0);
     losses.add(run_batch(*batch, k));
   }
@@ -350,7 +355,6 @@ Result<Losses> Trainer::advance() {
   optimizer_->step([&](const std::string& name) {
     return name.rfind("depth.head.", 0) == 0 ? head_rate_at(recipe_, step_) : learning_rate();
   });
-  drawn_ += images;
   images_ += images * compute_.processes->size();
   ++step_;
   update_average();

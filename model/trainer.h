@@ -50,16 +50,15 @@ class Trainer {
   bool done() const { return step_ >= recipe_.steps; }
   // Pictures seen, by all processes.
   std::int64_t images() const { return images_; }
-  // By this process since it began, and how many frames could not be read for them.
-  std::int64_t drawn() const { return drawn_; }
-  std::int64_t unreadable() const { return unreadable_; }
-  const char* why_unreadable() const { return why_unreadable_.text(); }  // the last of them
+  // By this process since it began.
+  const DrawnFrames& frames() const { return frames_; }
   // Of all but the head.
   double learning_rate() const { return learning_rate_at(recipe_, step_); }
   // Whether the newest step trained the head (before the first one: whether that will).
   bool has_head() const { return newest_phase().head; }
-  // One optimiser step. kCorrupt where the loss or a gradient is not finite, or losses stay far
-  // above what they were (divergence.h): what and when; the weights are then those before the step.
+  // One optimiser step. kCorrupt where too many frames cannot be read (batch.h), where the loss or
+  // a gradient is not finite, or losses stay far above what they were (divergence.h): what and
+  // when; the weights are then those before the step.
   Result<Losses> advance();
 
   // Starts the depth network from weights trained before, also of a smaller encoder (widener.h);
@@ -69,7 +68,8 @@ class Trainer {
   // kInvalidInput: another preset or shape, a larger encoder; errors
   // as make_batch.
   Status start_from(const DepthNetwork& trained, NormStatistics statistics);
-  // Starts encoder or pose network from others' weights; before the first step. The encoder's
+  // Starts encoder or pose network from others' weights; before the first step. A licence that the
+  // encoder's file names comes with it. The encoder's
   // statistics are measured: theirs are of pictures scaled in another way. Errors as
   // weight_import.h and make_batch; kUsage where there is no pose network.
   Result<ImportReport> start_encoder_from(const TensorFile& file, ChannelOrder order);
@@ -131,9 +131,7 @@ class Trainer {
   std::size_t loader_stage_ = 0;  // what loader_ makes
   std::int64_t step_ = 0;
   std::int64_t images_ = 0;
-  std::int64_t drawn_ = 0;
-  std::int64_t unreadable_ = 0;
-  Status why_unreadable_;
+  DrawnFrames frames_;
   Divergence divergence_;
   float best_ = std::numeric_limits<float>::infinity();  // score
   Phase best_phase_;                                     // that it is of

@@ -78,4 +78,17 @@ Status check_shares(const std::vector<Pack>& packs) {
                        "tall-share");
 }
 
+Status check_neighbours(const std::vector<Pack>& packs) {
+  for (const Pack& pack : packs) {
+    if (pack.use.wide_share + pack.use.tall_share <= 0) continue;
+    for (const std::size_t index : pack.train) {
+      if (pack.frames->has_neighbours(index)) return Status::ok();
+    }
+  }
+  return Status::error(StatusCode::kInvalidInput,
+                       "the photometric loss needs neighbours in time, and no picture to train on "
+                       "has any: give video = true to a set of the catalogue, --video to packs of "
+                       "your own, or the loss no weight (--photometric 0)");
+}
+
 }  // namespace lcdm::model

@@ -27,5 +27,7 @@ bool is_drawn(const std::vector<Pack>& packs, bool wide);
 
 // kInvalidInput: nothing is ever drawn of any pack.
 Status check_shares(const std::vector<Pack>& packs);
+// kInvalidInput: of nothing that is drawn a frame's neighbours in time can be had.
+Status check_neighbours(const std::vector<Pack>& packs);
 
 }  // namespace lcdm::model

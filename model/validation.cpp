@@ -30,14 +30,17 @@ Validation validate(DepthNetwork& network, int steps, double share, const Data& 
     const Pack& pack = data.packs[i];
     const auto some = evenly(pack.validation, frames);
     const SetResult network_result = evaluate(*pack.frames, some, data.protocols[i], estimator);
-    if (network_result.frames.empty()) continue;
+    if (network_result.frames.empty()) {
+      if (network_result.missing > 0) out.fault = network_result.why_missing;
+      continue;
+    }
     const SetResult constant =
         evaluate(*pack.frames, some, data.protocols[i], constant_estimator());
     const double ratio = network_result.mean.abs_rel / std::max(1e-9, constant.mean.abs_rel);
     out.sets.push_back({pack.use.name, network_result.mean, constant.mean});
     ratios[pack.use.teacher].push_back(ratio);
   }
-  if (!ratios.empty()) out.score = mean_of(ratios.begin()->second);
+  if (!ratios.empty() && out.fault) out.score = mean_of(ratios.begin()->second);
   return out;
 }
 

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <fstream>
 #include <gtest/gtest.h>
+#include <memory>
 
 #include "model/csv.h"
 #include "model/safetensors.h"
@@ -35,6 +36,17 @@ TEST(AblationRows, AreThoseOfTheTables) {
   EXPECT_EQ(rows[9].name, rows[4].name);
 }
 
+// Its pictures, all different, stand in for a drive's.
+Pack as_video(Pack pack) {
+  std::vector<PackFrame> frames;
+  for (std::size_t i = 0; i < pack.frames->size(); ++i) {
+    frames.push_back(*pack.frames->read(i / 2 * 2));  // every second frame is wide
+    frames.back().name = std::to_string(i);
+  }
+  pack.frames = std::make_shared<MemoryFrames>(std::move(frames), true);
+  return pack;
+}
+
 // Two seeds of one network on a few rendered frames, two steps each.
 class Ablation : public testing::Test {
  protected:
@@ -43,7 +55,7 @@ class Ablation : public testing::Test {
     ScenePackOptions scene;
     scene.train_frames = 4;
     scene.validation_frames = 2;
-    data_.packs = {rendered_pack(scene)};
+    data_.packs = {as_video(rendered_pack(scene))};
     data_.protocols = {*protocol_named("scene")};
     recipe_.encoder = EncoderKind::kXxs;
     recipe_.steps = 2;
@@ -107,6 +119,20 @@ TEST_F(Ablation, RefusesTheNetworksOfAnotherRecipe) {
   const Status status = run();
   EXPECT_EQ(status.code(), StatusCode::kInvalidInput);
   EXPECT_NE(std::string(status.text()).find("another recipe"), std::string::npos) << status.text();
+}
+
+TEST_F(Ablation, RefusesTheNetworksOfOtherData) {
+  options_.seeds = 1;
+  ASSERT_TRUE(run());
+  const Data data = data_;
+  for (float PackUse::*what : {&PackUse::weight, &PackUse::tall_share, &PackUse::things}) {
+    data_ = data;
+    data_.packs[0].use.*what += 0.5F;
+    EXPECT_EQ(run().code(), StatusCode::kInvalidInput);
+  }
+  data_ = data;
+  data_.photographs = 7;
+  EXPECT_EQ(run().code(), StatusCode::kInvalidInput);
 }
 
 }  // namespace

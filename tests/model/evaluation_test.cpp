@@ -99,6 +99,7 @@ TEST(Evaluate, CountsFramesWithoutAnEstimate) {
       set, {0, 1, 2}, *protocol_named("indoor"),
       [](const PackFrame& frame) { return frame.name == "2" ? cv::Mat() : frame.depth.clone(); });
   EXPECT_EQ(result.missing, 2U);
+  EXPECT_STREQ(result.why_missing.text(), "2: no estimate");
   ASSERT_EQ(result.frames.size(), 1U);
   EXPECT_EQ(result.frames[0].name, "0");
 }
@@ -154,6 +155,23 @@ TEST(Validate, ScoresOnTheDepthThatIsBelievedMost) {
 TEST(Validate, WithoutAFrameHasNoScore) {
   DepthNetwork network{ModelConfig{}};
   EXPECT_TRUE(std::isinf(validate(network, 0, 0.25, Data{}, 8).score));
+}
+
+// A score of what is left would be of another kind: none, and why is told.
+TEST(Validate, WithoutASetThatItShouldHaveHasNoScore) {
+  ModelConfig config;
+  config.encoder = EncoderKind::kXxs;
+  DepthNetwork network(config);
+  network->eval();
+  Data data;
+  data.packs = {pack_of(Teacher::kRenderer), pack_of(Teacher::kSensor)};
+  data.protocols.resize(2);
+  const Status gone = Status::error(StatusCode::kNotFound, "depth/0.png is gone");
+  data.packs[1].frames = std::make_shared<MemoryFrames>(
+      std::vector<PackFrame>{{"0", {}, {}, {}}}, false, std::map<std::size_t, Status>{{0, gone}});
+  const Validation validation = validate(network, 0, 0.25, data, 8);
+  EXPECT_TRUE(std::isinf(validation.score));
+  EXPECT_STREQ(validation.fault.text(), "depth/0.png is gone");
 }
 
 // The file with LibTorch and in the engine, at the deployed size and at another: the same depth.

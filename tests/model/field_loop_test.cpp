@@ -52,6 +52,9 @@ TEST_F(FieldLoopTest, ADriveIsRecordedReplayedTrainedOnAndExported) {
   const std::size_t pictures = files_in(path("pack/rgb"));
   EXPECT_GE(pictures, 10U);
   EXPECT_EQ(files_in(path("pack/depth")), pictures);  // one depth for every picture
+  test::Program again(LCDM_TRAIN_PROGRAM,
+                      {"pack", "--recording", path("drive"), "--output", path("pack")});
+  EXPECT_EQ(again.wait(60), 2) << "another recording's pictures would mix with these";
 
   run(LCDM_TRAIN_PROGRAM,
       {"train", "--pack", path("pack"), "--scene-frames", "0", "--encoder", "xxs", "--steps", "3",

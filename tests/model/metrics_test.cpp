@@ -53,6 +53,20 @@ TEST(Metrics, RefuseAnEstimateThatIsNoNumber) {
       << "where nothing is known nothing is asked";
 }
 
+// Resizing makes 0 of what is no number, and 0 is none: neither is the nearest depth.
+TEST(Metrics, RefuseAnEstimateWithHolesWhereDepthIsKnown) {
+  const cv::Mat truth(8, 8, CV_32F, cv::Scalar(2));
+  Metrics m;
+  for (const int side : {4, 8}) {
+    cv::Mat estimate(side, side, CV_32F, cv::Scalar(1));
+    EXPECT_TRUE(measure(estimate, truth, indoor, m));
+    for (const float hole : {0.0F, NAN, -1.0F}) {
+      estimate.at<float>(1, 1) = hole;
+      EXPECT_FALSE(measure(estimate, truth, indoor, m)) << side << " " << hole;
+    }
+  }
+}
+
 TEST(Metrics, GargCropLeavesOutTheSky) {
   cv::Mat truth(100, 100, CV_32F, cv::Scalar(10));
   cv::Mat estimate = truth.clone();

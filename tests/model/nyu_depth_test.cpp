@@ -65,8 +65,8 @@ TEST_F(NyuDepth, TheCameraIsThatOfTheAuthorsToolbox) {
   const CameraModel camera = (*frames)->read(0)->camera;  // of 8 x 6 instead of 640 x 480
   EXPECT_NEAR(camera.fx, 518.8579 / 80, 1e-4);
   EXPECT_NEAR(camera.fy, 519.4696 / 80, 1e-4);
-  EXPECT_NEAR(camera.cx, (325.5824 + 0.5) / 80 - 0.5, 1e-4);
-  EXPECT_NEAR(camera.cy, (253.7362 + 0.5) / 80 - 0.5, 1e-4);
+  EXPECT_NEAR(camera.cx, (324.5824 + 0.5) / 80 - 0.5, 1e-4);
+  EXPECT_NEAR(camera.cy, (252.7362 + 0.5) / 80 - 0.5, 1e-4);
   EXPECT_TRUE(camera.calibrated);
 }
 

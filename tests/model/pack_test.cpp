@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <set>
 
 #include "model/batch.h"
 #include "model/scene_pack.h"
@@ -98,6 +99,49 @@ TEST_F(SmallPack, BadFilesAreNamed) {
   EXPECT_EQ(load_pack(root_, use_, 640).code(), StatusCode::kCorrupt);
   fs::remove_all(root_ / "pack" / "rgb");
   EXPECT_EQ(load_pack(root_, use_, 640).code(), StatusCode::kNotFound);
+}
+
+// As ffmpeg names them with %d: frame 10 comes after frame 9, and of both kinds of file.
+TEST_F(SmallPack, ReadsPicturesInTheirOrderInTime) {
+  const fs::path rgb = root_ / "pack" / "rgb";
+  fs::remove(rgb / "000000.jpg");
+  const cv::Mat picture(48, 64, CV_8UC3, cv::Scalar(10, 100, 200));
+  for (const char* name : {"10.jpg", "2.png", "1.jpg"}) cv::imwrite((rgb / name).string(), picture);
+  use_.teacher = Teacher::kNone;
+  const Result<Pack> pack = load_pack(root_, use_, 640);
+  ASSERT_TRUE(pack) << pack.status().text();
+  ASSERT_EQ(pack->frames->size(), 3U);
+  EXPECT_EQ(pack->frames->name(0), "1");
+  EXPECT_EQ(pack->frames->name(1), "2");
+  EXPECT_EQ(pack->frames->name(2), "10");
+
+  cv::imwrite((rgb / "2.jpg").string(), picture);
+  const Result<Pack> twice = load_pack(root_, use_, 640);
+  EXPECT_EQ(twice.code(), StatusCode::kInvalidInput);
+  EXPECT_NE(std::string(twice.status().text()).find("2.png"), std::string::npos)
+      << twice.status().text();
+}
+
+// What validates must not train where frames are left out: --every may differ from run to run.
+TEST_F(SmallPack, KeepsFramesInTheirPartWhereSomeAreLeftOut) {
+  const fs::path rgb = root_ / "pack" / "rgb";
+  fs::remove(rgb / "000000.jpg");
+  const cv::Mat picture(48, 64, CV_8UC3, cv::Scalar(10, 100, 200));
+  for (int i = 0; i < 60; ++i) cv::imwrite((rgb / (std::to_string(i) + ".jpg")).string(), picture);
+  use_.teacher = Teacher::kNone;
+  const auto names = [](const Pack& pack, const std::vector<std::size_t>& part) {
+    std::set<std::string> all;
+    for (const std::size_t index : part) all.insert(pack.frames->name(index));
+    return all;
+  };
+  const Result<Pack> whole = load_pack(root_, use_, 640);
+  const Result<Pack> third = load_pack(root_, use_, 640, 3);
+  ASSERT_TRUE(whole && third);
+  EXPECT_EQ(third->frames->size(), 20U);
+  EXPECT_EQ(names(*third, third->validation), (std::set<std::string>{"54", "57"}));
+  for (const std::string& name : names(*third, third->train)) {
+    EXPECT_EQ(names(*whole, whole->train).count(name), 1U) << name;
+  }
 }
 
 // Intrinsics of 32x24 pictures beside pictures of 64x48.

@@ -82,6 +82,16 @@ TEST_F(TrainCli, RefusesToMeasureOnNothing) {
       2, "nothing to validate on");
 }
 
+// An estimate that no frame has must not leave the others' rows alone on the table.
+TEST_F(TrainCli, SaysThatNoFrameHasAnEstimate) {
+  test::Program program(LCDM_TRAIN_PROGRAM,
+                        {"evaluate", "--data", folder_.write("data.toml", "[scene]\nframes = 1\n"),
+                         "--estimates", folder_.path()});
+  EXPECT_EQ(program.wait(60), 78) << program.text();
+  EXPECT_THAT(program.text(), HasSubstr("frames could not be measured; the last: "));
+  EXPECT_THAT(program.text(), HasSubstr("folder could not be measured on any frame"));
+}
+
 TEST_F(TrainCli, RefusesEstimatesOfOtherPicturesThanBlurredOnes) {
   expect_refusal({"evaluate", "--estimates", folder_.path(), "--blur", "20"}, 2, "--blur");
 }

@@ -91,6 +91,15 @@ TEST(Trainer, RefusesPacksThatAreNeverDrawn) {
   EXPECT_EQ(Trainer::make(small_recipe(), {}, one_cpu()).code(), StatusCode::kInvalidInput);
 }
 
+TEST(Trainer, RefusesThePhotometricLossWherePicturesHaveNoNeighbours) {
+  Recipe recipe = small_recipe();
+  recipe.workers = 1;
+  recipe.losses.photometric = 1;
+  const auto trainer = Trainer::make(recipe, scene_packs(), one_cpu());
+  ASSERT_EQ(trainer.code(), StatusCode::kInvalidInput);
+  EXPECT_NE(std::string(trainer.status().text()).find("--video"), std::string::npos);
+}
+
 TEST(Trainer, RefusesALicenceThatNoCheckpointCouldHold) {
   const auto trainer = trainer_of(small_recipe());
   EXPECT_TRUE(trainer->set_licence("MIT; HoloLens"));
@@ -375,8 +384,10 @@ TEST(Trainer, MeasuresTheStatisticsOfAnImportedEncoder) {
   for (auto& [name, tensor] : file.tensors) {
     if (name.find("running_mean") != std::string::npos) tensor.fill_(7);
   }
+  file.metadata["licence"] = "theirs";
   const auto trainer = trainer_of(small_recipe());
   ASSERT_TRUE(trainer->start_encoder_from(file, ChannelOrder::kRgb));
+  EXPECT_EQ(trainer->config().licence, "theirs") << "what made it asks for something too";
   ConvNorm& stem = trainer->averaged()->encoder->stem;
   EXPECT_TRUE(torch::equal(stem->bn->weight, theirs->stem->bn->weight)) << "the weights are theirs";
   const Batch batch = *make_batch(scene_packs(), {160, 64, 80, 8, true}, 5, 0);
