@@ -182,20 +182,34 @@ Pinholes detached(const Pinholes& cameras) {
   return {cameras.fx.detach(), cameras.fy.detach(), cameras.cx, cameras.cy};
 }
 
-// The losses of one estimate of the batch's depth.
+// How the camera moved to a picture and from there, as PoseNet sees it: at half size, because it is
+// most of a step's cost otherwise.
+struct Motions {
+  Motion before, after;
+};
+Motions motions_of(PoseNet& pose, const Views& views) {
+  const auto small = [](const torch::Tensor& picture) {
+    return torch::avg_pool2d(scale_pixels(picture, kOurPixels), 2);
+  };
+  const torch::Tensor here = small(views.here);
+  return {pose->forward(small(views.earlier), here), pose->forward(here, small(views.later))};
+}
+
+// The losses of estimates of the batch's depth.
 class DepthLosses {
  public:
   DepthLosses(TrainedNetworks& networks, const Batch& batch, const LossWeights& weights,
               const torch::Tensor& log_target)
-      : networks_(networks),
-        config_(networks->depth->config),
+      : config_(networks->depth->config),
         batch_(batch),
         weights_(weights),
         cameras_(networks->cameras.is_empty()
                      ? batch.cameras
                      : networks->cameras->forward(batch.cameras, batch.learned_camera)),
         mask_(batch.target.depth > 0),
-        log_target_(log_target) {}
+        log_target_(log_target) {
+    if (weights.photometric > 0) motions_ = motions_of(networks->pose, batch.views);
+  }
 
   // The weighted sum over `variable`; the terms are noted in `losses`.
   torch::Tensor of(const torch::Tensor& variable, Losses& losses, at::Generator& generator) const {
@@ -228,31 +242,26 @@ class DepthLosses {
   }
 
  private:
-  // PoseNet sees the pictures at half size: it is most of a step's cost otherwise.
   torch::Tensor photometric(const torch::Tensor& depth, at::Generator& generator) const {
     const Views& views = batch_.views;
-    const auto small = [](const torch::Tensor& picture) {
-      return torch::avg_pool2d(scale_pixels(picture, kOurPixels), 2);
-    };
-    const Motion before = networks_->pose->forward(small(views.earlier), small(views.here));
-    const Motion after = networks_->pose->forward(small(views.here), small(views.later));
     const torch::Tensor points = back_project(depth, cameras_);
     const auto seen = [&](const torch::Tensor& picture, const Motion& motion, bool inverse) {
       const torch::Tensor to = rigid_motion(motion.axis_angle, motion.translation, inverse);
       return sample_at(picture, project(points, to, cameras_));
     };
-    return photometric_loss(views.here,
-                            {seen(views.earlier, before, true), seen(views.later, after, false)},
-                            {views.earlier, views.later}, views.present, generator);
+    return photometric_loss(
+        views.here,
+        {seen(views.earlier, motions_.before, true), seen(views.later, motions_.after, false)},
+        {views.earlier, views.later}, views.present, generator);
   }
 
-  TrainedNetworks& networks_;
   const ModelConfig& config_;
   const Batch& batch_;
   const LossWeights& weights_;
   Pinholes cameras_;  // with gradients where they are learned
   torch::Tensor mask_;
   torch::Tensor log_target_;
+  Motions motions_;
 };
 
 }  // namespace
