@@ -48,7 +48,7 @@ std::vector<Finding> examine(const Config& configured, const std::string& root) 
       check_disk(config.record.directory, config.record.keep_free_megabytes, account));
   add(check_files(config, account));
   for (const std::string& address : listen_addresses(config.http.listen)) {
-    findings.push_back(check_port(address, config.http.port));
+    findings.push_back(check_port(address, config.http.port, account));
   }
   findings.push_back(check_clock(clock_is_synchronised()));
   findings.push_back(check_hardware_watchdog(root));

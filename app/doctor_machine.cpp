@@ -126,9 +126,14 @@ std::vector<Finding> check_files(const Config& config, const Account& account) {
   return unusable;
 }
 
-Finding check_port(const std::string& listen, int port) {
-  const int error = bind_error(listen, port);
+Finding check_port(const std::string& listen, int port, const Account& account) {
+  constexpr int kFirstForAll = 1024;  // the kernel's default, ip_unprivileged_port_start
   const std::string place = listen + ":" + std::to_string(port);
+  if (!account.is_caller && account.user != 0 && port > 0 && port < kFirstForAll) {
+    return fault("port", place + ": " + account.name + " may not listen below " +
+                             std::to_string(kFirstForAll) + ": choose another http.port");
+  }
+  const int error = bind_error(listen, port);
   if (error == EADDRINUSE) {
     return warning("port", place +
                                " is in use: by lcdm itself if it runs, else choose another "

@@ -18,7 +18,8 @@ Finding check_memory_lock(const std::string& root, const Account& account,
 Finding check_disk(const std::string& directory, int keep_free_megabytes, const Account& account);
 // The configured files that cannot be used.
 std::vector<Finding> check_files(const Config& config, const Account& account);
-Finding check_port(const std::string& listen, int port);
+// Whether the account may, and nobody else does, listen there.
+Finding check_port(const std::string& listen, int port, const Account& account);
 Finding check_clock(bool synchronised);
 Finding check_hardware_watchdog(const std::string& root);
 // One for each configured line; none where none is configured.

@@ -1,7 +1,9 @@
 #include "app/doctor_rate.h"
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <thread>
@@ -14,19 +16,27 @@
 namespace lcdm {
 namespace {
 
-constexpr std::int64_t kSettleNs = 500'000'000;  // the first frames wait for the exposure
-constexpr std::int64_t kTrialNs = 1'500'000'000;
-constexpr std::chrono::seconds kCountTime{1};
+constexpr std::int64_t kFirstFrameNs = 3'000'000'000;  // longer than the pipeline waits for it
+constexpr std::int64_t kSettleNs = 500'000'000;        // frames after it wait for the exposure
+constexpr std::int64_t kTrialNs = 1'500'000'000;       // at least
+constexpr std::int64_t kCountNs = 1'000'000'000;       // at least
+
+// `least`, or three periods where that is longer. 0: the rate is not known.
+std::int64_t trial_of(std::int64_t least_ns, float frames_per_second) {
+  if (!(frames_per_second > 0)) return least_ns;
+  return std::max(least_ns, static_cast<std::int64_t>(3e9F / frames_per_second));
+}
 
 struct Taken {
   int frames = 0;
   std::int64_t last_ns = 0;  // when the last came
 };
 
-// Takes frames until `end_ns`.
-Result<Taken> take_frames(Camera& camera, std::int64_t end_ns) {
+// Takes frames until `end_ns`, or until there are `most`.
+Result<Taken> take_frames(Camera& camera, std::int64_t end_ns,
+                          int most = std::numeric_limits<int>::max()) {
   Taken taken;
-  while (os::monotonic_ns() < end_ns) {
+  while (taken.frames < most && os::monotonic_ns() < end_ns) {
     const auto frame = camera.dequeue(std::chrono::milliseconds(100));
     if (frame) {
       LCDM_RETURN_IF_ERROR(camera.requeue(frame->index));
@@ -40,17 +50,21 @@ Result<Taken> take_frames(Camera& camera, std::int64_t end_ns) {
 }
 
 // From the last frame of the settling to the last of the trial: whole periods.
-Result<float> rate_of_stream(Camera& camera) {
+Result<float> rate_of_stream(Camera& camera, float asked) {
+  const Result<Taken> first = take_frames(camera, os::monotonic_ns() + kFirstFrameNs, 1);
+  if (!first) return first.status();
   const std::int64_t settled_ns = os::monotonic_ns() + kSettleNs;
   const Result<Taken> before = take_frames(camera, settled_ns);
   if (!before) return before.status();
-  const Result<Taken> trial = take_frames(camera, settled_ns + kTrialNs);
+  const float promised = camera.info().frames_per_second;
+  const float rate = promised > 0 ? std::min(promised, asked) : asked;
+  const Result<Taken> trial = take_frames(camera, settled_ns + trial_of(kTrialNs, rate));
   if (!trial) return trial.status();
-  if (trial->frames == 0) {
+  if (first->frames == 0 || trial->frames == 0) {
     return Status::error(StatusCode::kTimeout,
                          "no frame comes: is its lens, cable or signal well?");
   }
-  const std::int64_t begin_ns = before->frames > 0 ? before->last_ns : settled_ns;
+  const std::int64_t begin_ns = before->frames > 0 ? before->last_ns : first->last_ns;
   return static_cast<float>(trial->frames) * 1e9F / static_cast<float>(trial->last_ns - begin_ns);
 }
 
@@ -82,7 +96,8 @@ std::optional<Count> count_in(const nlohmann::json& status, const std::string& u
 Result<float> measure_rate(Camera& camera, const CaptureRequest& request) {
   LCDM_RETURN_IF_ERROR(camera.configure(request));
   const Status started = camera.start();
-  const Result<float> rate = started ? rate_of_stream(camera) : Result<float>(started);
+  const Result<float> rate =
+      started ? rate_of_stream(camera, request.frames_per_second) : Result<float>(started);
   camera.stop();
   return rate;
 }
@@ -92,7 +107,8 @@ Result<float> served_rate(const Config& config, const std::string& uri) {
     const std::string address = reachable_address(listen);
     const auto first = status_at(address, config.http.port);
     if (!first) continue;
-    std::this_thread::sleep_for(kCountTime);
+    std::this_thread::sleep_for(
+        std::chrono::nanoseconds(trial_of(kCountNs, config.camera.frames_per_second)));
     const auto second = status_at(address, config.http.port);
     const auto begin = count_in(*first, uri);
     const auto end = second ? count_in(*second, uri) : std::nullopt;

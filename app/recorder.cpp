@@ -97,6 +97,7 @@ Status Recorder::start(const std::string& source, const FrameFormat& format,
   try {
     thread_ = std::thread([this] { record_loop(); });
   } catch (const std::system_error& refused) {
+    file_.remove();
     writer_.reset();
     const std::lock_guard lock(mutex_);
     under_way_ = false;

@@ -28,48 +28,55 @@ constexpr int kDeepest = 16;  // lists and tables in each other: more than any c
 // many values would take it the square of their number.
 constexpr std::size_t kLongestLine = 4096;
 
-// The most dots of one dotted key in `line`: a table in a table each. Those in quotes and in a
-// comment are none, where `quotes` can be told.
-int most_dots(const std::string& line, bool quotes) {
-  int dots = 0;
-  int most = 0;
-  char quote = 0;
-  for (std::size_t i = 0; i < line.size(); ++i) {
-    const char c = line[i];
-    if (quote != 0) {
-      if (c == '\\' && quote == '"') ++i;
-      if (c == quote) quote = 0;
-    } else if (quotes && (c == '"' || c == '\'')) {
-      quote = c;
-    } else if (quotes && c == '#') {
-      break;
-    } else if (c == '.') {
-      most = std::max(most, ++dots);
-    } else if (std::string_view(",=[]{}").find(c) != std::string_view::npos) {
-      dots = 0;
+// Behind the string that begins at `at`. One of a single line ends with that at the latest: then it
+// is a fault, which the parser finds.
+std::size_t end_of_string(const std::string& text, std::size_t at) {
+  const char quote = text[at];
+  const std::string three(3, quote);
+  const bool several_lines = text.compare(at, 3, three) == 0;
+  at += several_lines ? 3 : 1;
+  while (at < text.size()) {
+    if (text[at] == '\\' && quote == '"') {
+      at += 2;
+    } else if (several_lines && text.compare(at, 3, three) == 0) {
+      at += 3;
+      for (int more = 0; more < 2 && at < text.size() && text[at] == quote; ++more) ++at;
+      return at;
+    } else if (!several_lines && (text[at] == quote || text[at] == '\n')) {
+      return text[at] == quote ? at + 1 : at;
+    } else {
+      ++at;
     }
   }
-  return most;
+  return text.size();
 }
 
-// Whether lists or tables lie deeper in each other than kDeepest: the parser below would use the
-// stack for each. Lines of comment do not count, unless there are strings of several lines, in
-// which such a line may be something else.
-bool nests_too_deep(const std::string& text) {
-  const bool long_strings =
-      text.find("\"\"\"") != std::string::npos || text.find("'''") != std::string::npos;
-  std::istringstream lines(text);
-  int depth = 0;
-  for (std::string line; std::getline(lines, line);) {
-    const std::size_t first = line.find_first_not_of(" \t");
-    if (first == std::string::npos || (line[first] == '#' && !long_strings)) continue;
-    if (most_dots(line, !long_strings) > kDeepest) return true;
-    for (const char c : line) {
-      if (c == '[' || c == '{') ++depth;
-      if (c == ']' || c == '}') --depth;
-      if (depth > kDeepest) return true;
+// What is neither in quotes nor comment: what the parser takes for structure.
+std::string structure_of(const std::string& text) {
+  std::string structure;
+  for (std::size_t at = 0; at < text.size();) {
+    if (text[at] == '"' || text[at] == '\'') {
+      at = end_of_string(text, at);
+    } else if (text[at] == '#') {
+      at = std::min(text.find('\n', at), text.size());
+    } else {
+      structure += text[at++];
     }
-    depth = std::max(depth, 0);
+  }
+  return structure;
+}
+
+// Whether lists or tables lie deeper in each other than kDeepest, or a dotted key, which is a table
+// in a table for each dot, has more dots: the parser below would use the stack for each.
+bool nests_too_deep(const std::string& text) {
+  int depth = 0;
+  int dots = 0;
+  for (const char c : structure_of(text)) {
+    if (c == '[' || c == '{') ++depth;
+    if (c == ']' || c == '}') depth = std::max(depth - 1, 0);
+    if (c == '.') ++dots;
+    if (std::string_view(",=[]{}\n").find(c) != std::string_view::npos) dots = 0;
+    if (depth > kDeepest || dots > kDeepest) return true;
   }
   return false;
 }

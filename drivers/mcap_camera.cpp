@@ -16,8 +16,9 @@ namespace {
 namespace fs = std::filesystem;
 constexpr std::size_t kMaxJpeg = 16U << 20;
 constexpr int kMaxSide = 8192;
-// Live playback does not sit out longer pauses, nor a clock that was set back.
-constexpr std::int64_t kLongestPauseNs = 2'000'000'000;
+// Live playback does not sit out longer pauses, nor a clock that was set back. The pipeline would
+// take them for a lost signal (PipelineOptions::no_signal_after) and begin anew, never to get past.
+constexpr std::int64_t kLongestPauseNs = 1'000'000'000;
 // Nor does it play faster than any camera, whatever the stamps say: one frame alone would be played
 // over and over.
 constexpr std::int64_t kShortestStepNs = 5'000'000;

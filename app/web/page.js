@@ -267,14 +267,18 @@ async function control(path) {
 async function toggleRecording() {
   if (!status) return;
   const action = status.recording.on ? "stop" : "start";
-  const answer = await control(`/record/${action}`);
-  if (!answer.ok) recordFault = (await answer.text()).trim();
-  else recordFault = "";
+  try {
+    const answer = await control(`/record/${action}`);
+    recordFault = answer.ok ? "" : (await answer.text()).trim();
+  } catch {
+    recordFault = "the camera does not answer";
+  }
   showRecording();
 }
 
 function showRecording() {
   const { on, frames, dropped, fault, file } = status.recording;
+  if (on) recordFault = "";  // by another page or the button
   $("record").setAttribute("aria-pressed", String(on));
   setText("record", on ? "Recording" : "Record");
   const problem = recordFault || fault;

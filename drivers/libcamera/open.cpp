@@ -218,8 +218,9 @@ void LibcameraSession::set_controls(const CaptureRequest& request) {
     controls_.set(controls::FrameDurationLimits, libcamera::Span<const std::int64_t, 2>(period));
     frames_per_second_ = 1e6F / static_cast<float>(period_us);
   }
-  const bool manual = wanted.exposure_ms > 0 || wanted.gain >= 0;
-  set(controls::AeEnable, !manual, nullptr);
+  // What is set is fixed; the algorithm goes on with the other one.
+  const bool both_fixed = wanted.exposure_ms > 0 && wanted.gain >= 0;
+  set(controls::AeEnable, !both_fixed, nullptr);
   if (wanted.exposure_ms > 0) {
     set(controls::ExposureTime, static_cast<std::int32_t>(std::lround(wanted.exposure_ms * 1000)),
         "exposure");

@@ -209,6 +209,23 @@ TEST_F(ConfigFile, BracketsWithoutEndAreRefusedBeforeTheyEatTheStack) {
               HasSubstr("too deep in each other"));
 }
 
+// What is in quotes or a comment closes nothing, and opens nothing.
+TEST_F(ConfigFile, BracketsCountWhereTheyAreStructure) {
+  const std::string closing(20, ']');
+  const std::string opening(20, '[');
+  for (const char* quote : {"\"", "'", "\"\"\"", "'''"}) {
+    const std::string hidden = quote + closing + quote;
+    EXPECT_THAT(error_of("[camera]\nwidth = [" + hidden + ", " + opening),
+                HasSubstr("too deep in each other"))
+        << quote;
+  }
+  EXPECT_THAT(error_of("[camera]\nwidth = [ # " + closing + "\n" + opening),
+              HasSubstr("too deep in each other"));
+  EXPECT_EQ(
+      error_of("[camera]\nwidth = 640  # " + opening + "\nsource = \"file:" + opening + "\"\n"),
+      "");
+}
+
 TEST_F(ConfigFile, KeysOfManyPartsAreRefusedBeforeTheyEatTheStack) {
   std::string key = "a";
   for (int i = 0; i < 50'000; ++i) key += i % 2 == 0 ? ".a" : ".\"b\"";

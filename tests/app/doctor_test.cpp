@@ -317,10 +317,21 @@ TEST_F(Doctor, SeesAPortThatIsTaken) {
   ASSERT_EQ(listen(fd, 1), 0);
   ASSERT_EQ(getsockname(fd, reinterpret_cast<sockaddr*>(&address), &length), 0);
   const int port = ntohs(address.sin_port);
-  expect(check_port("127.0.0.1", port), Severity::kWarning, "is in use");
+  const Account caller = calling_account();
+  expect(check_port("127.0.0.1", port, caller), Severity::kWarning, "is in use");
   close(fd);
-  expect(check_port("127.0.0.1", port), Severity::kOk, "is free");
-  expect(check_port("192.0.2.1", port), Severity::kWarning, "lacks that address now: lcdm waits");
+  expect(check_port("127.0.0.1", port, caller), Severity::kOk, "is free");
+  expect(check_port("192.0.2.1", port, caller), Severity::kWarning,
+         "lacks that address now: lcdm waits");
+}
+
+// Root, who asks, might; the service may not.
+TEST_F(Doctor, SeesAPortThatTheServiceMayNotHave) {
+  Account service;
+  service.name = "lcdm";
+  service.is_caller = false;
+  service.user = 999;
+  expect(check_port("127.0.0.1", 80, service), Severity::kFault, "lcdm may not listen below 1024");
 }
 
 TEST_F(Doctor, SeesAClockThatNobodySets) {
