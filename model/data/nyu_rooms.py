@@ -98,8 +98,7 @@ def main():
         for part in ("rgb", "depth"):
             (folder / part).mkdir(parents=True, exist_ok=True)
         (folder / "intrinsics.json").write_text(json.dumps(intrinsics))
-        # No "_" in the name: every frame is a sequence of its own, so all of them train and none validates.
-        convert(given.frames, number, folder, f"{scene.replace('_', '-')}-{number:04d}")
+        convert(given.frames, number, folder, f"{scene}_{number:04d}")
 
 
 if __name__ == "__main__":
