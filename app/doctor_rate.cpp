@@ -107,8 +107,8 @@ Result<float> served_rate(const Config& config, const std::string& uri) {
     const std::string address = reachable_address(listen);
     const auto first = status_at(address, config.http.port);
     if (!first) continue;
-    std::this_thread::sleep_for(
-        std::chrono::nanoseconds(trial_of(kCountNs, config.camera.frames_per_second)));
+    std::this_thread::sleep_for(std::chrono::nanoseconds(
+        trial_of(kCountNs, static_cast<float>(config.camera.frames_per_second))));
     const auto second = status_at(address, config.http.port);
     const auto begin = count_in(*first, uri);
     const auto end = second ? count_in(*second, uri) : std::nullopt;
