@@ -42,18 +42,16 @@ std::string folder_name(const AblationRow& row, int seed) {
 
 std::string text_of(const Pack& pack) {
   const PackUse& use = pack.use;
-  char text[512];
-  std::snprintf(text, sizeof(text),
-                "trains on %zu frames of %s: teacher %d%s%s, alignment %d, trust %g, shares %g and "
-                "%g, things %g, field of view %g%s%s\n",
-                pack.train.size(), use.name.c_str(), static_cast<int>(use.teacher),
-                use.teacher == Teacher::kMaps ? " of " : "",
-                use.teacher == Teacher::kMaps ? use.maps.c_str() : "",
-                static_cast<int>(use.alignment), static_cast<double>(use.weight),
-                static_cast<double>(use.wide_share), static_cast<double>(use.tall_share),
-                static_cast<double>(use.things), static_cast<double>(use.field_of_view),
-                use.video ? ", video" : "", use.learn_intrinsics ? ", intrinsics learned" : "");
-  return text;
+  char numbers[160];
+  std::snprintf(numbers, sizeof(numbers),
+                ", teacher %d, alignment %d, trust %g, shares %g and %g, things %g, view %g",
+                static_cast<int>(use.teacher), static_cast<int>(use.alignment),
+                static_cast<double>(use.weight), static_cast<double>(use.wide_share),
+                static_cast<double>(use.tall_share), static_cast<double>(use.things),
+                static_cast<double>(use.field_of_view));
+  return "trains on " + std::to_string(pack.train.size()) + " frames of " + use.name + numbers +
+         (use.teacher == Teacher::kMaps ? ", maps " + use.maps : "") +
+         (use.video ? ", video" : "") + (use.learn_intrinsics ? ", learned intrinsics" : "") + "\n";
 }
 
 // Everything that decides what a row becomes, in words.

@@ -21,8 +21,8 @@ struct Validation {
   // Mean over the sets of AbsRel as a share of a constant depth's: lower is better, 1 knows
   // nothing. Over the sets with a sensor's depth where there are some, or else the rendered ones:
   // renderings are not the world, and maps only say how alike the teacher is.
-  // Infinite where no frame could be measured,
-  // too where a set could not be measured at all: a score of the others would be another kind.
+  // Infinite where no frame could be measured, and where one of the sets could not at all: without
+  // it a score would be of another kind.
   double score = std::numeric_limits<double>::infinity();
   Status fault;  // why such a set could not
 };

@@ -4,11 +4,11 @@
 #include <filesystem>
 #include <fstream>
 #include <gtest/gtest.h>
-#include <memory>
 
 #include "model/csv.h"
 #include "model/safetensors.h"
 #include "model/scene_pack.h"
+#include "tests/model/small_training.h"
 #include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
@@ -34,17 +34,6 @@ TEST(AblationRows, AreThoseOfTheTables) {
   EXPECT_EQ(rows[7].losses.normals, 0.1);
   EXPECT_EQ(rows[9].losses.normals, 1);
   EXPECT_EQ(rows[9].name, rows[4].name);
-}
-
-// Its pictures, all different, stand in for a drive's.
-Pack as_video(Pack pack) {
-  std::vector<PackFrame> frames;
-  for (std::size_t i = 0; i < pack.frames->size(); ++i) {
-    frames.push_back(*pack.frames->read(i / 2 * 2));  // every second frame is wide
-    frames.back().name = std::to_string(i);
-  }
-  pack.frames = std::make_shared<MemoryFrames>(std::move(frames), true);
-  return pack;
 }
 
 // Two seeds of one network on a few rendered frames, two steps each.
