@@ -14,7 +14,11 @@ struct LearnedCamerasImpl : torch::nn::Module {
   // where the intrinsics are known.
   Pinholes forward(const Pinholes& assumed, const torch::Tensor& which);
 
-  torch::Tensor log_focal;  // [cameras, 2], of fx and fy over the assumed ones
+  std::int64_t cameras() const { return log_focal.size(0) / 2; }
+
+  // Of fx and fy over the assumed ones, camera by camera: [2 cameras], because vectors are not
+  // decayed (optimizer.h).
+  torch::Tensor log_focal;
 };
 TORCH_MODULE(LearnedCameras);
 

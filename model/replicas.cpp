@@ -5,7 +5,7 @@ namespace {
 
 TrainedNetworks replica_of(const TrainedNetworks& original) {
   TrainedNetworks replica(original->depth->config, !original->pose.is_empty(),
-                          original->cameras.is_empty() ? 0 : original->cameras->log_focal.size(0));
+                          original->cameras.is_empty() ? 0 : original->cameras->cameras());
   replica->depth->mixed_precision = original->depth->mixed_precision;
   replica->to(original->depth->direct->weight.device());  // the statistics too
   const auto weights = original->named_parameters();

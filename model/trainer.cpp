@@ -71,7 +71,8 @@ Result<std::unique_ptr<Trainer>> Trainer::make(const Recipe& recipe, const std::
     }
   }
   LCDM_RETURN_IF_ERROR(check_shares(packs));
-  if (recipe.losses.photometric > 0) LCDM_RETURN_IF_ERROR(check_neighbours(packs));
+  LCDM_RETURN_IF_ERROR(recipe.losses.photometric > 0 ? check_neighbours(packs)
+                                                     : check_no_learned_cameras(packs));
   ModelConfig config = model_config_of(recipe);
   if (recipe.preset == PresetKind::kLcdm) {
     LCDM_RETURN_IF_ERROR(measure_variable(config, recipe, packs));
@@ -229,7 +230,7 @@ void Trainer::set_modes() {
 std::vector<LearnedFocal> Trainer::learned_focals() const {
   std::vector<LearnedFocal> focals;
   if (networks_->cameras.is_empty()) return focals;
-  const torch::Tensor factors = networks_->cameras->log_focal.detach().exp().cpu();
+  const torch::Tensor factors = networks_->cameras->log_focal.detach().exp().cpu().reshape({-1, 2});
   for (const Pack& pack : packs_) {
     if (!pack.use.learn_intrinsics) continue;
     const torch::Tensor factor = factors[static_cast<std::int64_t>(focals.size())];

@@ -91,4 +91,15 @@ Status check_neighbours(const std::vector<Pack>& packs) {
                        "your own, or the loss no weight (--photometric 0)");
 }
 
+Status check_no_learned_cameras(const std::vector<Pack>& packs) {
+  for (const Pack& pack : packs) {
+    if (!pack.use.learn_intrinsics) continue;
+    return Status::error(StatusCode::kInvalidInput,
+                         "%s: focal lengths are learned by the photometric loss alone: give "
+                         "--photometric a weight, or the set no learn-intrinsics",
+                         pack.use.name.c_str());
+  }
+  return Status::ok();
+}
+
 }  // namespace lcdm::model

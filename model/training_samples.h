@@ -29,5 +29,7 @@ bool is_drawn(const std::vector<Pack>& packs, bool wide);
 Status check_shares(const std::vector<Pack>& packs);
 // kInvalidInput: of nothing that is drawn a frame's neighbours in time can be had.
 Status check_neighbours(const std::vector<Pack>& packs);
+// kInvalidInput: a set is to learn its focal lengths, which without the photometric loss none does.
+Status check_no_learned_cameras(const std::vector<Pack>& packs);
 
 }  // namespace lcdm::model

@@ -48,6 +48,14 @@ TEST(Trainer, RefusesThePhotometricLossWherePicturesHaveNoNeighbours) {
   EXPECT_NE(std::string(trainer.status().text()).find("--video"), std::string::npos);
 }
 
+TEST(Trainer, RefusesToLearnFocalLengthsWithoutThePhotometricLoss) {
+  std::vector<Pack> packs = scene_packs();
+  packs[0].use.learn_intrinsics = true;
+  const auto trainer = Trainer::make(small_recipe(), packs, one_cpu());
+  ASSERT_EQ(trainer.code(), StatusCode::kInvalidInput);
+  EXPECT_NE(std::string(trainer.status().text()).find("--photometric"), std::string::npos);
+}
+
 TEST(Trainer, RefusesALicenceThatNoCheckpointCouldHold) {
   const auto trainer = trainer_of(small_recipe());
   EXPECT_TRUE(trainer->set_licence("MIT; HoloLens"));
