@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 #include <tuple>
 
+#include "model/learned_cameras.h"
 #include "model/muon.h"
 
 namespace lcdm::model {
@@ -110,6 +111,17 @@ TEST(Optimizer, LeavesEmbeddingsToAdamW) {
   const TwoLayers muon = after_a_step(OptimizerKind::kMuon, 1);
   ASSERT_TRUE(is_matrix(muon->depth->named_parameters()["table"]));
   EXPECT_TRUE(same(adamw, muon, "depth.table"));
+}
+
+// Decay would pull them to what was assumed.
+TEST(Optimizer, LeavesLearnedFocalLengthsWhereNothingPullsThem) {
+  LearnedCameras cameras(2);
+  const torch::NoGradGuard no_grad;
+  cameras->log_focal.fill_(0.2);
+  cameras->log_focal.mutable_grad() = torch::zeros_like(cameras->log_focal);
+  Optimizer optimizer(OptimizerKind::kAdamW, *cameras, 0.5, 1);
+  optimizer.step([](const std::string&) { return 0.1; });
+  EXPECT_TRUE((cameras->log_focal == 0.2F).all().item<bool>());
 }
 
 // LibTorch's own AdamW is the reference.
