@@ -124,6 +124,12 @@ def kitti_frame(name, picture, sweep, of):
     return name, colour, camera, packs.nearest(points, camera)
 
 
+def depth_of_disparity(steps, camera):
+    """Of KITTI 2015's files: 1/256 pixels, 0 where there is none."""
+    disparity = numpy.where(steps > 0, steps / 256, numpy.inf)
+    return camera["fx"] * BASELINE / disparity
+
+
 def driving_kitti_object(sfa3d, kitti):
     for split, folder in (("train", sfa3d / "training"), ("test", sfa3d / "testing")):
         for path in sorted((folder / "image_2").glob("*.png")):
@@ -150,8 +156,7 @@ def driving_kitti_stereo(folder):
     colour = packs.read(training / "image_2/000046_10.png")
     camera = kitti_camera(colour, SEPTEMBER_26)
     steps = packs.read(training / "disp_occ_0/000046_10.png", cv2.IMREAD_UNCHANGED)
-    disparity = numpy.where(steps > 0, steps / 256, numpy.inf)
-    yield "000046_10", colour, camera, camera["fx"] * BASELINE / disparity
+    yield "000046_10", colour, camera, depth_of_disparity(steps, camera)
 
 
 def pose_of(json_pose):

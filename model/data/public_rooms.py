@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Makes packs of rooms from depth cameras' frames that lie in public repositories.
+"""Makes packs of rooms, most with a depth camera's depth, from samples in public repositories.
 
     git clone https://github.com/CMU-AI-Maker-Space/aims-slam    # one, some or all of these
     python3 model/data/public_rooms.py --checkouts . --output ../rooms
@@ -17,6 +17,9 @@ Pack, frames, repository at commit: licence
     tum_desk           2  gaoxiang12/slambook2 e62d9cd: MIT; TUM RGB-D itself CC BY 4.0
     scannet_pair       2  facebookresearch/TemporallyConsistentDepth be85390: CC BY-NC 4.0;
                           ScanNet's own terms, research
+    replica_apartment0 252  Chialiang86/Semantic-Mapping-Framework ae0026b: none stated; Replica's own
+                          terms, research
+    replica_office0   27  Aadit-Munjal/CSCI5561_Project 438a6f0: none stated; the same
     tables_left_out    9  NVlabs/UnseenObjectClustering f5a00c7: NVIDIA's, not for commerce
                        5  NVlabs/PoseCNN-PyTorch f7d28f2: the same
 
@@ -72,6 +75,10 @@ TUM_STEPS = 5  # a millimetre
 SCANNET_DEPTH = packs.camera(WIDTH, HEIGHT, 577.870605, 577.870605, 319.5, 239.5)
 SCANNET = packs.camera(1296, 968, 1170.187988, 1170.187988, 647.75, 483.75)
 SCANNET_FRAMES = (0, 10)  # of 0 to 10, which are neighbours
+APARTMENT = packs.camera(512, 512, 256.0, 256.0, 255.5, 255.5)  # 90 degrees
+APARTMENT_UNIT = 10 / 65535  # metres
+APARTMENT_NEAREST, APARTMENT_SHARE = 0.6, 0.5  # metres, in the middle; or the camera is in a wall
+OFFICE = packs.camera(1200, 680, 600.0, 600.0, 599.5, 339.5)
 UOC = packs.camera(WIDTH, HEIGHT, 612.937, 613.173, 322.549, 248.158)
 POSECNN = packs.camera(WIDTH, HEIGHT, 618.01727, 618.00336, 312.37695, 232.37531)
 
@@ -209,6 +216,28 @@ def scannet_pair(folder):
         yield f"watercooler_{number:06d}", colour, of, registered(depth, SCANNET_DEPTH, of)
 
 
+def replica_apartment0(folder):
+    frames = (
+        (floor[0], *frame)
+        for floor in ("first_floor", "second_floor")
+        for frame in pairs(folder / "Data_collection" / floor, "rgb/*.png", "depth/*.png")
+    )
+    for floor, number, colour, depth in itertools.islice(frames, 0, None, 2):
+        depth = depth * APARTMENT_UNIT
+        seen = depth > 0.1
+        if seen.mean() >= APARTMENT_SHARE and numpy.median(depth[seen]) >= APARTMENT_NEAREST:
+            yield f"{floor}{number:04d}", colour, APARTMENT, depth
+
+
+def replica_office0(folder):
+    frames = pairs(folder, "rgb/*.png", "depth/*.png")
+    for number, colour, depth in itertools.islice(frames, 0, None, 3):
+        colour, of = packs.narrowed(colour, OFFICE, WIDTH)
+        size = (of["width"], of["height"])
+        depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
+        yield f"{number:04d}", colour, of, depth * UNIT
+
+
 def tables_left_out(clustering, posecnn):
     for folder, name, of in ((clustering, "uoc_{:04d}", UOC), (posecnn, "ycb_{:06d}", POSECNN)):
         demo = folder / "data/demo"
@@ -228,6 +257,8 @@ PACKS = {
     ],
     tum_desk: ["slambook2"],
     scannet_pair: ["TemporallyConsistentDepth"],
+    replica_apartment0: ["Semantic-Mapping-Framework"],
+    replica_office0: ["CSCI5561_Project"],
     tables_left_out: ["UnseenObjectClustering", "PoseCNN-PyTorch"],
 }
 
