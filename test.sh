@@ -46,7 +46,7 @@ build() {
   cmake --preset "$1" >/dev/null && cmake --build --preset "$1"
 }
 run_tests() {
-  ctest --test-dir "build/$1" --output-on-failure --no-tests=error "${@:2}"
+  ctest --test-dir "build/$1" --parallel "$(nproc)" --output-on-failure --no-tests=error "${@:2}"
 }
 npm_packages() {
   local folder
