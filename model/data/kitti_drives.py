@@ -22,6 +22,8 @@ Wherever they lie, KITTI's and KITTI-360's frames are CC BY-NC-SA 3.0.
 
 driving_kitti_2015 has KITTI's own disparities, with cars filled in; driving_kitti_odom_grey_3 and
 driving_kitti_pictures have no depth; the others one sweep of the laser, as in public_drives.py.
+11 of driving_kitti_object_laser's frames are in public_drives.py's driving_kitti_object too, there
+without depth.
 What shows places of test_kitti_object or kitti_left_out, or may (matched points), is left out.
 Needs python3-opencv and python3-scipy.
 """
