@@ -20,7 +20,7 @@ package=(debhelper)
 test=(
   libgtest-dev libgmock-dev libumockdev-dev umockdev clang-format clang-tidy chromium
   fonts-dejavu-core git nodejs npm opencv-doc g++-11
-  lintian mmdebstrap e2fsprogs openssh-client qemu-system-x86 qemu-system-arm qemu-utils curl jq
+  lintian mmdebstrap arch-test e2fsprogs openssh-client qemu-system-x86 qemu-system-arm qemu-utils curl jq
 )
 train=(libtorch-dev libopenblas0-pthread libgloo-dev libmatio-dev libhdf5-dev python3-torch)
 

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "firmware/nn/kernels/matrix.h"
+#include "firmware/nn/kernels/words.h"
 #include "tests/firmware/image.h"
 
 namespace lcdm::kernels {
@@ -157,6 +158,20 @@ TEST(MatrixKernel, ActivatesWithinTheLastBitsOfHalves) {
     check_rough_activations(1);
     check_rough_activations(vector_lanes());
   });
+}
+
+// What Armv8.2's conversion gives, which the ends of rows meet too.
+TEST(HalfWord, RoundsToNearestAndKeepsWhatIsInfiniteAndWhatIsNoNumber) {
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  const struct {
+    float number;
+    std::uint32_t bits;
+  } cases[] = {{1, 0x3C00},        {1 + 0x1p-11F, 0x3C00}, {1 + 0x1.8p-10F, 0x3C02},
+               {65519, 0x7BFF},    {65520, 0x7C00},        {65536, 0x7C00},
+               {1e38F, 0x7C00},    {kInfinity, 0x7C00},    {-kInfinity, 0xFC00},
+               {0x1p-24F, 0x0001}, {0x1p-25F, 0x0000},     {-0x1.8p-24F, 0x8002}};
+  for (const auto& [number, bits] : cases) EXPECT_EQ(float16_bits(number), bits) << number;
+  EXPECT_EQ(float16_bits(std::numeric_limits<float>::quiet_NaN()), 0x7E00U);
 }
 
 // So that a sum that overflowed shows as no depth, not as some.

@@ -23,11 +23,13 @@ inline float bfloat16_second(std::uint32_t pair) {
   return std::bit_cast<float>(pair & 0xFFFF0000U);
 }
 
-// IEEE half precision: rounded to nearest, ties to even; numbers within 65504 only.
+// IEEE half precision: rounded to nearest, ties to even; beyond 65504 infinite, and what is no
+// number stays none.
 inline std::uint32_t float16_bits(float x) {
   const auto all = std::bit_cast<std::uint32_t>(x);
   const std::uint32_t sign = (all >> 16) & 0x8000U;
   const std::uint32_t bits = all & 0x7FFFFFFFU;
+  if (bits >= 0x47800000U) return sign | (bits > 0x7F800000U ? 0x7E00U : 0x7C00U);  // 65536
   if (bits >= 0x38800000U) {  // 2^-14, the least normal one
     return sign | ((bits + 0xFFFU + ((bits >> 13) & 1U) - (112U << 23)) >> 13);
   }
