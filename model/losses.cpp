@@ -116,13 +116,15 @@ bool align_affine(torch::Tensor log_target, const torch::Tensor& log_depth,
 torch::Tensor align_to_student(const torch::Tensor& log_target, const torch::Tensor& log_depth,
                                const torch::Tensor& mask, const torch::Tensor& alignment) {
   const torch::NoGradGuard no_grad;
-  torch::Tensor out = log_target.clone();
-  const torch::Tensor kinds = alignment.cpu();
-  for (std::int64_t b = 0; b < out.size(0); ++b) {
-    const auto kind = static_cast<Alignment>(kinds[b].item<std::int64_t>());
-    if (kind == Alignment::kNone || !mask[b].any().item<bool>()) continue;
-    if (kind == Alignment::kAffine && align_affine(out[b], log_depth[b], mask[b])) continue;
-    out[b] += (log_depth[b] - log_target[b]).masked_select(mask[b]).median();
+  const torch::Tensor gap = torch::where(mask, log_depth - log_target, NAN).flatten(1);
+  const torch::Tensor moved = torch::where(alignment != static_cast<std::int64_t>(Alignment::kNone),
+                                           std::get<0>(gap.nanmedian(1)).nan_to_num(), 0.0);
+  torch::Tensor out = log_target + moved.reshape({-1, 1, 1, 1});
+  const torch::Tensor affine =
+      (alignment == static_cast<std::int64_t>(Alignment::kAffine)).nonzero().cpu();
+  for (std::int64_t i = 0; i < affine.size(0); ++i) {
+    const std::int64_t b = affine[i].item<std::int64_t>();
+    align_affine(out[b], log_depth[b], mask[b]);
   }
   return out;
 }

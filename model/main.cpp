@@ -15,8 +15,8 @@
 
 namespace {
 
-// OpenMP and OpenBLAS read these when they are loaded, before main: the program starts itself again
-// with them. Spinning threads collapse on a busy machine, OpenBLAS's threads fight OpenMP's, and it
+// Libraries read these when they are loaded, before main: the program starts itself again with
+// them. Spinning threads collapse on a busy machine, OpenBLAS's threads fight OpenMP's, and it
 // takes its slowest kernels on processors it does not know.
 void restart_with_environment(char** argv) {
   constexpr const char* kMark = "LCDM_TRAIN_ENVIRONMENT";
@@ -36,6 +36,9 @@ void restart_with_environment(char** argv) {
 #endif
   // oneDNN 2.6's AMX convolutions make bf16 gradients that are not finite.
   setenv("ONEDNN_MAX_CPU_ISA", "AVX512_CORE_BF16", 0);
+  // With its newer interface cuDNN 9 compiles kernels for every layer and size, for minutes, before
+  // the first step (LibTorch 2.11 on an H200).
+  setenv("TORCH_CUDNN_V8_API_DISABLED", "1", 0);
   std::error_code error;
   const std::string program = std::filesystem::read_symlink("/proc/self/exe", error).string();
   if (!error) execv(program.c_str(), argv);  // by its own name, for ps and pkill

@@ -3,20 +3,25 @@
 // the few that are strongest. Ours for the reason that AdamW is: checkpoints resume bit-exactly.
 #pragma once
 
+#include <vector>
+
 #include "model/torch.h"
 
 namespace lcdm::model {
 
-// `matrix` [rows, columns] with its singular values brought to about 1 and its singular vectors
-// kept, by five steps of a Newton-Schulz iteration.
-torch::Tensor orthogonalised(const torch::Tensor& matrix);
+// `matrices` [n, rows, columns] with the singular values of each brought to about 1 and its
+// singular vectors kept, by five steps of a Newton-Schulz iteration.
+torch::Tensor orthogonalised(const torch::Tensor& matrices);
 
 // At least 8 x 16 numbers as [outputs, the rest]: weights of convolutions and linear layers.
 // Depthwise filters, biases, norms and the last convolution are not.
 bool is_matrix(const torch::Tensor& parameter);
 
-// The change of a parameter for a learning rate of 1; `momentum` takes the gradient in. Its size is
-// that of AdamW's changes, so one learning rate serves both.
-torch::Tensor muon_update(const torch::Tensor& gradient, torch::Tensor& momentum);
+// The changes of parameters for a learning rate of 1; their `momenta` take the `gradients` in. All
+// are the same matrix's shape as [outputs, the rest]: they go through the iteration together, since
+// a product each keeps no GPU busy. A change's size is that of AdamW's, so one learning rate serves
+// both.
+std::vector<torch::Tensor> muon_updates(const std::vector<torch::Tensor>& gradients,
+                                        const std::vector<torch::Tensor>& momenta);
 
 }  // namespace lcdm::model

@@ -39,6 +39,7 @@ void Replicas::clear_gradients() {
 }
 
 void Replicas::reduce() {
+  if (size() == 1) return;
   const torch::NoGradGuard no_grad;
   auto weights = of(0)->named_parameters();
   auto statistics = of(0)->named_buffers();

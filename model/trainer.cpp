@@ -51,6 +51,22 @@ double kept_share(const Recipe& recipe, std::int64_t steps) {
   return std::min(recipe.average, (1 + n) / (10 + n));
 }
 
+// Many tensors that become kept * themselves + (1 - kept) * others.
+struct Blend {
+  double kept;
+  std::vector<torch::Tensor> to = {};
+  std::vector<torch::Tensor> from = {};
+
+  void add(const torch::Tensor& into, const torch::Tensor& other) {
+    to.push_back(into);
+    from.push_back(other);
+  }
+  void run() const {
+    at::_foreach_mul_(to, kept);
+    at::_foreach_add_(to, from, 1 - kept);
+  }
+};
+
 }  // namespace
 
 Compute one_cpu() {
@@ -94,6 +110,7 @@ Trainer::Trainer(const Recipe& recipe, const std::vector<Pack>& packs, const Com
   replicas_ = std::make_unique<Replicas>(networks_, workers);
   average_ = DepthNetwork(config);
   average_->to(compute.device);
+  use_channels_last(*average_);
   spread_weights();
   average_->eval();
   optimizer_ = std::make_unique<Optimizer>(recipe.optimizer, *networks_, recipe.weight_decay,
@@ -142,17 +159,18 @@ Status Trainer::measure_new_head() {
 Status Trainer::start_from(const DepthNetwork& trained, NormStatistics statistics) {
   ModelConfig& config = networks_->depth->config;
   if (!recipe_.start) config.start = trained->config.start;
-  if (trained->config.encoder == config.encoder && trained->config.preset == config.preset) {
-    std::map<std::string, torch::Tensor> tensors;
-    collect(*trained, "", tensors);
-    if (!restore(*networks_->depth, "", tensors)) {
-      return Status::error(StatusCode::kInvalidInput,
-                           "the weights to start from have other widths or another number of "
-                           "sampling steps than the recipe's network");
-    }
-  } else {
-    LCDM_RETURN_IF_ERROR(widen(trained, networks_->depth));
+  DepthNetwork source = trained;
+  if (trained->config.encoder != config.encoder || trained->config.preset != config.preset) {
+    source = DepthNetwork(config);  // beside `trained`, whatever device trains
+    LCDM_RETURN_IF_ERROR(widen(trained, source));
     statistics = NormStatistics::kMissing;
+  }
+  std::map<std::string, torch::Tensor> tensors;
+  collect(*source, "", tensors);
+  if (!restore(*networks_->depth, "", tensors)) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "the weights to start from have other widths or another number of "
+                         "sampling steps than the recipe's network");
   }
   if (statistics == NormStatistics::kMissing) {
     LCDM_RETURN_IF_ERROR(measure(*networks_->depth, Answers::kKeep));
@@ -288,20 +306,21 @@ void Trainer::update_average() {
   const torch::NoGradGuard no_grad;
   // The head joins later: what it was before is nothing to keep.
   const auto joined = std::max<std::int64_t>(0, step_ - first_step(recipe_, recipe_.head_from));
-  const double keep = kept_share(recipe_, step_);
-  const double keep_of_head = kept_share(recipe_, joined);
   std::map<std::string, torch::Tensor> from;
   std::map<std::string, torch::Tensor> to;
   collect(*networks_->depth, "", from);
   collect(*average_, "", to);
+  Blend others{kept_share(recipe_, step_)};
+  Blend head{kept_share(recipe_, joined)};
   for (auto& [name, tensor] : to) {
     if (tensor.is_floating_point()) {
-      const double kept = name.rfind("head.", 0) == 0 ? keep_of_head : keep;
-      tensor.mul_(kept).add_(from[name], 1 - kept);
+      (name.starts_with("head.") ? head : others).add(tensor, from[name]);
     } else {
       tensor.copy_(from[name]);
     }
   }
+  others.run();
+  head.run();
 }
 
 namespace {

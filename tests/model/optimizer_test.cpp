@@ -26,7 +26,7 @@ TEST_P(Orthogonalised, KeepsSingularVectorsAndMakesTheirValuesAboutOne) {
   const torch::Tensor matrix = uneven(rows, columns);
   const auto [u, s, v] = torch::linalg_svd(matrix, false);
   const torch::Tensor in_their_base =
-      torch::matmul(torch::matmul(u.t(), orthogonalised(matrix)), v.t());
+      torch::matmul(torch::matmul(u.t(), orthogonalised(matrix.unsqueeze(0))[0]), v.t());
   const torch::Tensor values = in_their_base.diag();
   EXPECT_GT(values.min().item<double>(), 0.5);
   EXPECT_LT(values.max().item<double>(), 1.25);
@@ -49,8 +49,8 @@ TEST(Muon, IsForMatricesAndNotForFiltersOfOneChannelNormsAndTheLastLayer) {
 TEST(Muon, MovesAMatrixAsFarAsAdamWWould) {
   torch::manual_seed(1);
   for (const double size : {1e-6, 1.0, 1e6}) {
-    torch::Tensor momentum = torch::zeros({32, 16, 3, 3});
-    const torch::Tensor update = muon_update(torch::randn({32, 16, 3, 3}) * size, momentum);
+    const torch::Tensor update =
+        muon_updates({torch::randn({32, 16, 3, 3}) * size}, {torch::zeros({32, 16, 3, 3})})[0];
     const double rms = update.square().mean().sqrt().item<double>();
     EXPECT_GT(rms, 0.15) << size;
     EXPECT_LT(rms, 0.25) << size;
@@ -62,12 +62,29 @@ TEST(Muon, RemembersItsGradients) {
   torch::manual_seed(2);
   const torch::Tensor first = torch::randn({24, 48});
   const torch::Tensor second = torch::randn({24, 48});
-  torch::Tensor momentum = torch::zeros({24, 48});
-  muon_update(first, momentum);
-  const torch::Tensor update = muon_update(second, momentum);
+  const torch::Tensor momentum = torch::zeros({24, 48});
+  muon_updates({first}, {momentum});
+  const torch::Tensor update = muon_updates({second}, {momentum})[0];
   const torch::Tensor ahead = second + 0.95 * (0.95 * first + second);
-  const torch::Tensor expected = orthogonalised(ahead) * (-0.2 * std::sqrt(48.0));
+  const torch::Tensor expected = orthogonalised(ahead.unsqueeze(0))[0] * (-0.2 * std::sqrt(48.0));
   EXPECT_TRUE(torch::allclose(update, expected, 1e-4, 1e-5));
+}
+
+TEST(Muon, ChangesManyMatricesAsItChangesEachAlone) {
+  torch::manual_seed(5);
+  std::vector<torch::Tensor> gradients, momenta;
+  for (int i = 0; i < 3; ++i) {
+    gradients.push_back(torch::randn({24, 6, 3, 3}));
+    momenta.push_back(torch::randn({24, 6, 3, 3}));
+  }
+  std::vector<torch::Tensor> alone;
+  for (std::size_t i = 0; i < gradients.size(); ++i) {
+    alone.push_back(muon_updates({gradients[i]}, {momenta[i].clone()})[0]);
+  }
+  const std::vector<torch::Tensor> together = muon_updates(gradients, momenta);
+  for (std::size_t i = 0; i < gradients.size(); ++i) {
+    EXPECT_TRUE(torch::allclose(together[i], alone[i], 1e-4, 1e-6)) << i;
+  }
 }
 
 struct TwoLayersImpl : torch::nn::Module {
