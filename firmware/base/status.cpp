@@ -18,8 +18,8 @@ Status Status::error(StatusCode code, const char* format, ...) {
   va_list arguments;
   va_start(arguments, format);
   // clang-analyzer 14 does not see that va_start initialised it.
-  std::vsnprintf(status.text_, sizeof(status.text_), format,
-                 arguments);  // NOLINT(clang-analyzer-valist.Uninitialized)
+  // NOLINTNEXTLINE(clang-analyzer-valist.Uninitialized)
+  std::vsnprintf(status.text_, sizeof(status.text_), format, arguments);
   va_end(arguments);
   return status;
 }
@@ -31,8 +31,8 @@ Status Status::system(int sys_errno, const char* format, ...) {
   va_list arguments;
   va_start(arguments, format);
   // clang-analyzer 14 does not see that va_start initialised it.
-  std::vsnprintf(status.text_, sizeof(status.text_), format,
-                 arguments);  // NOLINT(clang-analyzer-valist.Uninitialized)
+  // NOLINTNEXTLINE(clang-analyzer-valist.Uninitialized)
+  std::vsnprintf(status.text_, sizeof(status.text_), format, arguments);
   va_end(arguments);
   const std::size_t used = std::strlen(status.text_);
   // strerrordesc_np would be thread-safe without a buffer, but is glibc 2.32+ only by name; the
