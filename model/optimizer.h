@@ -51,7 +51,7 @@ class Optimizer {
     std::int64_t steps = 0;  // of each, this one included
     std::vector<Slot*> slots;
   };
-  // Of the slots that have a gradient, each of a few slots at most.
+  // Of the slots that have a gradient, whose steps are counted; each of a few slots at most.
   std::vector<Group> groups(const std::function<double(const std::string&)>& rate_of);
   void change(const Group& group) const;
 
