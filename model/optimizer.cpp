@@ -53,7 +53,6 @@ std::vector<Optimizer::Group> Optimizer::groups(
     const double rate = rate_of(slot.name);
     const std::int64_t rows = slot.muon() ? parameter.size(0) : 0;
     const std::int64_t columns = slot.muon() ? parameter.numel() / rows : 0;
-    ++slot.steps;
     Group& group = open[{rows, columns, rate, slot.steps}];
     group.muon = slot.muon();
     group.rate = rate;
@@ -82,7 +81,8 @@ void Optimizer::step(const std::function<double(const std::string&)>& rate_of) {
 
 void Optimizer::change(const Group& group) const {
   std::vector<torch::Tensor> parameters, decayed, gradients, means, squares;
-  for (const Slot* slot : group.slots) {
+  for (Slot* slot : group.slots) {
+    ++slot->steps;
     parameters.push_back(slot->parameter);
     if (slot->parameter.dim() > 1) decayed.push_back(slot->parameter);
     gradients.push_back(slot->parameter.grad());
@@ -94,7 +94,7 @@ void Optimizer::change(const Group& group) const {
     at::_foreach_add_(parameters, muon_updates(gradients, means), group.rate);
     return;
   }
-  const auto steps = static_cast<double>(group.steps);
+  const auto steps = static_cast<double>(group.steps + 1);
   at::_foreach_mul_(means, kBeta1);
   at::_foreach_add_(means, gradients, 1 - kBeta1);
   at::_foreach_mul_(squares, kBeta2);

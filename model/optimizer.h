@@ -48,10 +48,10 @@ class Optimizer {
   struct Group {
     bool muon = false;  // all of them, and as matrices of one shape
     double rate = 0;
-    std::int64_t steps = 0;  // of each, this one included
+    std::int64_t steps = 0;  // of each, before this one
     std::vector<Slot*> slots;
   };
-  // Of the slots that have a gradient, whose steps are counted; each of a few slots at most.
+  // Of the slots that have a gradient; each of a few slots at most.
   std::vector<Group> groups(const std::function<double(const std::string&)>& rate_of);
   void change(const Group& group) const;
 

@@ -125,6 +125,16 @@ TEST(AlignToStudent, FallsBackToTheMedianWhereTheFitIsNoDepth) {
   EXPECT_EQ((out - target).abs().max().item<float>(), 0);  // the median error is 0 already
 }
 
+// A picture without a teacher's depth, among others in its batch: no median, no line, no NaN.
+TEST(AlignToStudent, LeavesAPictureOfWhichNothingIsKnown) {
+  const torch::Tensor target = torch::zeros({2, 1, 1, 3});
+  const torch::Tensor student = torch::ones({2, 1, 1, 3});
+  const torch::Tensor nothing = torch::zeros({2, 1, 1, 3}, torch::kBool);
+  const torch::Tensor out =
+      align_to_student(target, student, nothing, kinds_of({Alignment::kScale, Alignment::kAffine}));
+  EXPECT_TRUE(torch::equal(out, target));
+}
+
 TEST(DepthCode, RoundTrips) {
   ModelConfig config;
   config.variable_mean = -4;
