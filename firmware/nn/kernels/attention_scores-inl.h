@@ -56,8 +56,9 @@ HWY_INLINE FullVec power_of(FullTag d, FullVec score, FullVec largest,
   if constexpr (Operand::kScaled) {
     return rough_exp_minus(d, hn::Mul(hn::Sub(largest, score), hn::Set(d, unit)));
   } else {
-    return exp2_within<kPerWord<Operand> != 1>(
-        d, hn::Max(hn::Sub(score, largest), hn::Set(d, -126.0F)));
+    const FullVec x = hn::Max(hn::Sub(score, largest), hn::Set(d, -126.0F));
+    if constexpr (kPerWord<Operand> != 1) return rough_exp2_within(d, x);
+    return exp2_within(d, x, kPowerTerms);
   }
 }
 
@@ -69,11 +70,12 @@ HWY_INLINE void power_rows(const Walk& keys, int key, const Buffers<Operand>& b,
   const FullTag d;
   FullVec acc[MR][kQueryVectors];
   multiply<Operand, MR>(keys, key, b.queries, acc);
+  const PowerTerms& terms = *read_only_now(&kPowerTerms);
   float* word = b.scores + key / kWord * static_cast<int>(kQueries);
   LCDM_UNROLL for (int m = 0; m < MR; m += kWord, word += kQueries) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) {
       if constexpr (kWord == 1) {
-        const FullVec power = exp2_within<false>(d, acc[m][v]);
+        const FullVec power = exp2_within(d, acc[m][v], terms);
         sum[v] = hn::Add(sum[v], power);
         hn::StoreU(power, d, word + v * kLanes);
       } else {

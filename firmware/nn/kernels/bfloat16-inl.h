@@ -70,7 +70,7 @@ struct Bfloat16Operand {
                               _mm512_castps_si512(lower.raw));
     return V{_mm512_castsi512_ps(bend_powers(both))};
 #else
-    return pair(d, exp2_within<true>(d, low), exp2_within<true>(d, high));
+    return pair(d, rough_exp2_within(d, low), rough_exp2_within(d, high));
 #endif
   }
 

@@ -51,24 +51,57 @@ HWY_INLINE V exp_approx(D d, V x) {
   return times_power_of_two(d, p, shifted);
 }
 
-// 2^x for x in [-126, 126], within 3e-7 relative: as above without log(2), the same polynomial of
-// x - n, its coefficients times the powers of log(2). kRough: within 1.1e-4, beside narrow numbers;
-// the polynomial has degree 3.
-template <bool kRough, class D, class V>
-HWY_INLINE V exp2_within(D d, V x) {
+// The same pointer, but what is read through it the compiler cannot have read before: else it keeps
+// a loop's constants in registers all through the loop, and in a tile of products, which needs
+// every register, sums go through memory instead.
+template <class T>
+HWY_INLINE const T* read_only_now(const T* constants) {
+  asm volatile("" : "+r"(constants));
+  return constants;
+}
+
+// What 2^x is computed from: e^x's polynomial of x - n, its coefficients times the powers of
+// log(2), from the highest on. AVX-512, which has instructions for both ends, takes the n below x
+// instead of the nearest, and a polynomial fitted to [0, 1).
+struct PowerTerms {
+  float rounding;
+  float term[6];
+};
+#if HWY_TARGET == HWY_AVX3
+static constexpr PowerTerms kPowerTerms = {
+    0, {1.867130638e-03F, 9.017029102e-03F, 5.579991399e-02F, 2.401644499e-01F, 6.931513118e-01F, 1}};
+#else
+static constexpr PowerTerms kPowerTerms = {
+    kRounding,
+    {1.326472857e-03F, 9.671514314e-03F, 5.550733755e-02F, 2.402224206e-01F, 6.931469776e-01F, 1}};
+#endif
+
+// 2^x for x in [-126, 126], within 3e-7 relative. `terms` are kPowerTerms.
+HWY_INLINE FullVec exp2_within(FullTag d, FullVec x, const PowerTerms& terms) {
+  const auto polynomial = [&](FullVec r) HWY_ATTR {
+    FullVec p = hn::MulAdd(hn::Set(d, terms.term[0]), r, hn::Set(d, terms.term[1]));
+    LCDM_UNROLL for (int i = 2; i < 6; ++i) p = hn::MulAdd(p, r, hn::Set(d, terms.term[i]));
+    return p;
+  };
+#if HWY_TARGET == HWY_AVX3
+  const FullVec r{_mm512_reduce_ps(x.raw, _MM_FROUND_TO_NEG_INF)};
+  return FullVec{_mm512_scalef_ps(polynomial(r).raw, x.raw)};
+#else
+  const auto rounding = hn::Set(d, terms.rounding);
+  const auto shifted = hn::Add(x, rounding);
+  const auto r = hn::Sub(x, hn::Sub(shifted, rounding));
+  return times_power_of_two(d, polynomial(r), shifted);
+#endif
+}
+
+// The same within 1.1e-4, beside narrow numbers: the polynomial has degree 3.
+template <class D, class V>
+HWY_INLINE V rough_exp2_within(D d, V x) {
   const auto rounding = hn::Set(d, kRounding);
   const V shifted = hn::Add(x, rounding);
   const V r = hn::Sub(x, hn::Sub(shifted, rounding));
-  V p;
-  if constexpr (kRough) {
-    p = hn::MulAdd(hn::Set(d, 5.501141659e-02F), r, hn::Set(d, 2.422012370e-01F));
-    p = hn::MulAdd(p, r, hn::Set(d, 6.932815963e-01F));
-  } else {
-    p = hn::MulAdd(hn::Set(d, 1.326472857e-03F), r, hn::Set(d, 9.671514314e-03F));
-    p = hn::MulAdd(p, r, hn::Set(d, 5.550733755e-02F));
-    p = hn::MulAdd(p, r, hn::Set(d, 2.402224206e-01F));
-    p = hn::MulAdd(p, r, hn::Set(d, 6.931469776e-01F));
-  }
+  V p = hn::MulAdd(hn::Set(d, 5.501141659e-02F), r, hn::Set(d, 2.422012370e-01F));
+  p = hn::MulAdd(p, r, hn::Set(d, 6.932815963e-01F));
   return times_power_of_two(d, hn::MulAdd(p, r, hn::Set(d, 1.0F)), shifted);
 }
 
