@@ -46,7 +46,7 @@ void depth(const ToDepth& t, int begin, int end) {
     const std::size_t at = static_cast<std::size_t>(begin) + i;
     const auto logit =
         hn::MulAdd(hn::LoadU(d, t.state + at), hn::Set(d, t.deviation), hn::Set(d, t.mean));
-    const auto e = exp_approx(d, hn::Sub(hn::Zero(d), logit));
+    const auto e = exp_approx<-1>(d, logit);
     const auto disparity = hn::MulAdd(e, hn::Set(d, 0.01F), hn::Set(d, 10.0F));
     const auto metres = hn::Div(hn::Add(hn::Set(d, 1.0F), e), disparity);
     // Clamped powers are numbers: where the logit is none, or infinite, it takes the metres with

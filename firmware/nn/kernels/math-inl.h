@@ -33,24 +33,6 @@ HWY_INLINE V times_power_of_two(D d, V p, V n_shifted) {
   return hn::BitCast(d, hn::Add(hn::BitCast(di, p), exponent));
 }
 
-// e^x within 3e-7 relative for x in [-87, 88], clamped outside. x = n log(2) + r, and e^r by a
-// polynomial fitted to half a log(2) either way within 1e-7.
-template <class D, class V>
-HWY_INLINE V exp_approx(D d, V x) {
-  const auto rounding = hn::Set(d, kRounding);
-  x = hn::Min(hn::Max(x, hn::Set(d, -87.0F)), hn::Set(d, 88.0F));
-  const V shifted = hn::MulAdd(x, hn::Set(d, 1.44269504F), rounding);
-  const V n = hn::Sub(shifted, rounding);
-  V r = hn::NegMulAdd(n, hn::Set(d, 0.693359375F), x);  // exact, also without fused multiply-adds
-  r = hn::NegMulAdd(n, hn::Set(d, -2.12194440e-4F), r);
-  V p = hn::MulAdd(hn::Set(d, 8.290315572e-03F), r, hn::Set(d, 4.189793655e-02F));
-  p = hn::MulAdd(p, r, hn::Set(d, 1.666763623e-01F));
-  p = hn::MulAdd(p, r, hn::Set(d, 4.999914948e-01F));
-  p = hn::MulAdd(p, r, hn::Set(d, 9.999997072e-01F));
-  p = hn::MulAdd(p, r, hn::Set(d, 1.0F));
-  return times_power_of_two(d, p, shifted);
-}
-
 // The same pointer, but what is read through it the compiler cannot have read before: else it keeps
 // a loop's constants in registers all through the loop, and in a tile of products, which needs
 // every register, sums go through memory instead.
@@ -60,9 +42,9 @@ HWY_INLINE const T* read_only_now(const T* constants) {
   return constants;
 }
 
-// What 2^x is computed from: e^x's polynomial of x - n, its coefficients times the powers of
+// What 2^x is computed from: e^r's polynomial (exp_approx), its coefficients times the powers of
 // log(2), from the highest on. AVX-512, which has instructions for both ends, takes the n below x
-// instead of the nearest, and a polynomial fitted to [0, 1).
+// instead of the nearest, and a polynomial fitted to [0, 1) within 1e-7.
 struct PowerTerms {
   float rounding;
   float term[6];
@@ -94,7 +76,33 @@ HWY_INLINE FullVec exp2_within(FullTag d, FullVec x, const PowerTerms& terms) {
 #endif
 }
 
-// The same within 1.1e-4, beside narrow numbers: the polynomial has degree 3.
+// e^(kSign x), of a kSign of 1 or -1, within 3e-7 relative for x in [-87, 87], clamped outside.
+// kSign x = n log(2) + r, and e^r by a polynomial fitted to half a log(2) either way within 1e-7.
+// Of whole AVX-512 vectors a power of two, whose exponent is rounded: 6e-8 |x| more.
+template <int kSign, class D, class V>
+HWY_INLINE V exp_approx(D d, V x) {
+#if HWY_TARGET == HWY_AVX3
+  if constexpr (sizeof(V) == 64) {
+    x = hn::Mul(x, hn::Set(d, kSign * 1.44269504F));
+    return exp2_within(d, hn::Min(x, hn::Set(d, 126.0F)), kPowerTerms);
+  }
+#endif
+  if constexpr (kSign < 0) x = hn::Sub(hn::Zero(d), x);
+  const auto rounding = hn::Set(d, kRounding);
+  x = hn::Min(hn::Max(x, hn::Set(d, -87.0F)), hn::Set(d, 88.0F));
+  const V shifted = hn::MulAdd(x, hn::Set(d, 1.44269504F), rounding);
+  const V n = hn::Sub(shifted, rounding);
+  V r = hn::NegMulAdd(n, hn::Set(d, 0.693359375F), x);  // exact, also without fused multiply-adds
+  r = hn::NegMulAdd(n, hn::Set(d, -2.12194440e-4F), r);
+  V p = hn::MulAdd(hn::Set(d, 8.290315572e-03F), r, hn::Set(d, 4.189793655e-02F));
+  p = hn::MulAdd(p, r, hn::Set(d, 1.666763623e-01F));
+  p = hn::MulAdd(p, r, hn::Set(d, 4.999914948e-01F));
+  p = hn::MulAdd(p, r, hn::Set(d, 9.999997072e-01F));
+  p = hn::MulAdd(p, r, hn::Set(d, 1.0F));
+  return times_power_of_two(d, p, shifted);
+}
+
+// 2^x for x in [-126, 126] within 1.1e-4, beside narrow numbers: the polynomial has degree 3.
 template <class D, class V>
 HWY_INLINE V rough_exp2_within(D d, V x) {
   const auto rounding = hn::Set(d, kRounding);
@@ -201,11 +209,11 @@ HWY_INLINE V activate(D d, V x) {
     const V e = rough_exp_minus(d, hn::Max(x, hn::Set(d, -88.0F)));
     return hn::Mul(x, rough_reciprocal(d, hn::Add(one, e)));
   } else if constexpr (kActivation == Activation::kSilu) {
-    return hn::Mul(x, reciprocal(d, hn::Add(one, exp_approx(d, hn::Sub(zero, x)))));
+    return hn::Mul(x, reciprocal(d, hn::Add(one, exp_approx<-1>(d, x))));
   } else if constexpr (kActivation == Activation::kElu && kRough) {
     return hn::IfThenElse(hn::Lt(x, zero), hn::Sub(rough_exp_minus(d, hn::Abs(x)), one), x);
   } else if constexpr (kActivation == Activation::kElu) {
-    return hn::IfThenElse(hn::Lt(x, zero), hn::Sub(exp_approx(d, x), one), x);
+    return hn::IfThenElse(hn::Lt(x, zero), hn::Sub(exp_approx<1>(d, x), one), x);
   } else if constexpr (kActivation == Activation::kRelu) {
     return rectified(d, x);
   } else {
