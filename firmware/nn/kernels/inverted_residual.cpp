@@ -177,7 +177,7 @@ class Strip {
     const float* const rows[3] = {slot(top), slot(top + 1), slot(top + 2)};
     const auto columns = static_cast<std::size_t>(columns_);
     std::size_t x = 0;
-    if constexpr (kPairs && HWY_TARGET == HWY_AVX3) {  // 32 registers
+    if constexpr (HWY_TARGET == HWY_AVX3) {  // 32 registers
       for (; x + 8 <= columns; x += 8) filter_pixels<kRough, kStride, 8>(rows, x);
     }
     for (; x + kPixels <= columns; x += kPixels) filter_pixels<kRough, kStride, kPixels>(rows, x);
