@@ -93,8 +93,8 @@ int record(const RecordOptions& options) {
 
   int broken = 0;
   Recorder recorder(recorder_options(*config));
-  Status status = recorder.start(camera.info().uri, camera.format(), camera.model());
-  if (status) status = camera.start();
+  Status status = camera.start();  // first: one that cannot leaves no empty file behind
+  if (status) status = recorder.start(camera.info().uri, camera.format(), camera.model());
   if (status) {
     std::printf("source  %s\nfile    %s\n", camera.info().description.c_str(),
                 recorder.status().file.c_str());

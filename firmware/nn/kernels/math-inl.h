@@ -33,12 +33,14 @@ HWY_INLINE V times_power_of_two(D d, V p, V n_shifted) {
   return hn::BitCast(d, hn::Add(hn::BitCast(di, p), exponent));
 }
 
-// The same pointer, but what is read through it the compiler cannot have read before: else it keeps
-// a loop's constants in registers all through the loop, and in a tile of products, which needs
-// every register, sums go through memory instead.
+// The same pointer, but what is read through it the compiler cannot have read before: else, where
+// there are registers for a tile of products and no more, it keeps the constants of what follows the
+// tile in some of them all through the loop, and sums go through memory instead.
 template <class T>
 HWY_INLINE const T* read_only_now(const T* constants) {
+#if HWY_TARGET == HWY_AVX3 || HWY_ARCH_ARM
   asm volatile("" : "+r"(constants));
+#endif
   return constants;
 }
 
