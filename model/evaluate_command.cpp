@@ -195,12 +195,14 @@ Status add_precisions(const Options& options, const Estimator& exact,
     explicit Distance(std::string precision) : name(std::move(precision)) {}
     ~Distance() {
       if (frames == 0) return;
-      std::printf("%s: log depth differs by %.5f in the mean of %d frames, %.5f in the worst\n",
-                  name.c_str(), sum / frames, frames, worst);
+      std::printf(
+          "%s: log depth differs by %.5f in the mean of %d frames, %.5f in the worst (%s)\n",
+          name.c_str(), sum / frames, frames, worst, worst_frame.c_str());
     }
     std::string name;
     double sum = 0;
     double worst = 0;
+    std::string worst_frame;
     int frames = 0;
   };
   for (const std::string& name : options.precisions) {
@@ -213,7 +215,10 @@ Status add_precisions(const Options& options, const Estimator& exact,
                             if (depth.empty()) return depth;  // counted as missing
                             const double here = log_distance(depth, exact(frame));
                             distance->sum += here;
-                            distance->worst = std::max(distance->worst, here);
+                            if (here >= distance->worst) {
+                              distance->worst = here;
+                              distance->worst_frame = frame.name;
+                            }
                             ++distance->frames;
                             return depth;
                           }});

@@ -34,8 +34,8 @@ HWY_INLINE V times_power_of_two(D d, V p, V n_shifted) {
 }
 
 // The same pointer, but what is read through it the compiler cannot have read before: else, where
-// there are registers for a tile of products and no more, it keeps the constants of what follows the
-// tile in some of them all through the loop, and sums go through memory instead.
+// there are registers for a tile of products and no more, it keeps the constants of what follows
+// the tile in some of them all through the loop, and sums go through memory instead.
 template <class T>
 HWY_INLINE const T* read_only_now(const T* constants) {
 #if HWY_TARGET == HWY_AVX3 || HWY_ARCH_ARM
@@ -53,7 +53,8 @@ struct PowerTerms {
 };
 #if HWY_TARGET == HWY_AVX3
 static constexpr PowerTerms kPowerTerms = {
-    0, {1.867130638e-03F, 9.017029102e-03F, 5.579991399e-02F, 2.401644499e-01F, 6.931513118e-01F, 1}};
+    0,
+    {1.867130638e-03F, 9.017029102e-03F, 5.579991399e-02F, 2.401644499e-01F, 6.931513118e-01F, 1}};
 #else
 static constexpr PowerTerms kPowerTerms = {
     kRounding,
