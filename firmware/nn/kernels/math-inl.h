@@ -48,16 +48,14 @@ HWY_INLINE const T* read_only_now(const T* constants) {
 // log(2), from the highest on. AVX-512, which has instructions for both ends, takes the n below x
 // instead of the nearest, and a polynomial fitted to [0, 1) within 1e-7.
 struct PowerTerms {
-  float rounding;
   float term[6];
+  float rounding = kRounding;  // for processors without those instructions
 };
 #if HWY_TARGET == HWY_AVX3
 static constexpr PowerTerms kPowerTerms = {
-    0,
     {1.867130638e-03F, 9.017029102e-03F, 5.579991399e-02F, 2.401644499e-01F, 6.931513118e-01F, 1}};
 #else
 static constexpr PowerTerms kPowerTerms = {
-    kRounding,
     {1.326472857e-03F, 9.671514314e-03F, 5.550733755e-02F, 2.402224206e-01F, 6.931469776e-01F, 1}};
 #endif
 
