@@ -33,9 +33,10 @@ HWY_INLINE V times_power_of_two(D d, V p, V n_shifted) {
   return hn::BitCast(d, hn::Add(hn::BitCast(di, p), exponent));
 }
 
-// The same pointer, but what is read through it the compiler cannot have read before: else, where
-// there are registers for a tile of products and no more, it keeps the constants of what follows
-// the tile in some of them all through the loop, and sums go through memory instead.
+// The same pointer, but the compiler cannot have read before what is read through it. Otherwise it
+// keeps the constants of what follows a tile of products in registers all through the tile's loop,
+// and sums go through memory instead, where the tile needs every register: seen with 32 of them;
+// with 16 constants are read from memory anyway.
 template <class T>
 HWY_INLINE const T* read_only_now(const T* constants) {
 #if HWY_TARGET == HWY_AVX3 || HWY_ARCH_ARM
@@ -45,8 +46,8 @@ HWY_INLINE const T* read_only_now(const T* constants) {
 }
 
 // What 2^x is computed from: e^r's polynomial (exp_approx), its coefficients times the powers of
-// log(2), from the highest on. AVX-512, which has instructions for both ends, takes the n below x
-// instead of the nearest, and a polynomial fitted to [0, 1) within 1e-7.
+// log(2), from the highest on. AVX-512 has instructions that take n away and multiply by 2^n: their
+// n is the one below x instead of the nearest, and the polynomial fitted to [0, 1) within 1e-7.
 struct PowerTerms {
   float term[6];
   float rounding = kRounding;  // for processors without those instructions
@@ -79,7 +80,8 @@ HWY_INLINE FullVec exp2_within(FullTag d, FullVec x, const PowerTerms& terms) {
 
 // e^(kSign x), of a kSign of 1 or -1, within 3e-7 relative for x in [-87, 87], clamped outside.
 // kSign x = n log(2) + r, and e^r by a polynomial fitted to half a log(2) either way within 1e-7.
-// Of whole AVX-512 vectors a power of two, whose exponent is rounded: 6e-8 |x| more.
+// Of whole AVX-512 vectors a power of two, whose exponent is rounded: 6e-8 |x| more, and nothing is
+// clamped below, where it falls to 0.
 template <int kSign, class D, class V>
 HWY_INLINE V exp_approx(D d, V x) {
 #if HWY_TARGET == HWY_AVX3
