@@ -254,17 +254,19 @@ HWY_INLINE void add_scaled_run(D d, const Words& a, int row, int r, const Panel&
   }
 }
 
-// What row_winograd_pays may choose: larger tiles are compiled without it.
-template <class Operand, int NV>
+// What row_winograd_pays may choose: larger tiles are compiled without it, those of 16 rows, which
+// are windows, among them.
+template <class Operand, int MR, int NV>
 constexpr bool can_be_transformed() {
-  return !Operand::kScaled && kLanes != kRowWinogradNotLanes && NV * kLanes <= kRowWinogradColumns;
+  return !Operand::kScaled && kLanes != kRowWinogradNotLanes && MR <= tile_rows<NV>() &&
+         NV * kLanes <= kRowWinogradColumns;
 }
 
 // acc = the bias and the products of all runs.
 template <class Operand, int MR, int NV, class D>
 HWY_INLINE void multiply_runs(D d, const Words& a, int row, const Panel& panel,
                               hn::Vec<D> (&acc)[MR][NV]) {
-  if constexpr (can_be_transformed<Operand, NV>()) {
+  if constexpr (can_be_transformed<Operand, MR, NV>()) {
     if (a.rows.transformed) {
       return multiply_transformed<Operand>(d, a.rows, row, panel.words<Operand>(),
                                            panel.matrix.bias + panel.at(0), acc);
