@@ -58,7 +58,7 @@ HWY_INLINE FullVec power_of(FullTag d, FullVec score, FullVec largest,
   } else {
     const FullVec x = hn::Max(hn::Sub(score, largest), hn::Set(d, -126.0F));
     if constexpr (kPerWord<Operand> != 1) return rough_exp2_within(d, x);
-    return exp2_within(d, x, kPowerTerms);
+    return exp2_times_constant(d, x, kPowerTerms);
   }
 }
 
@@ -75,7 +75,7 @@ HWY_INLINE void power_rows(const Walk& keys, int key, const Buffers<Operand>& b,
   LCDM_UNROLL for (int m = 0; m < MR; m += kWord, word += kQueries) {
     LCDM_UNROLL for (int v = 0; v < kQueryVectors; ++v) {
       if constexpr (kWord == 1) {
-        const FullVec power = exp2_within(d, acc[m][v], terms);
+        const FullVec power = exp2_times_constant(d, acc[m][v], terms);
         sum[v] = hn::Add(sum[v], power);
         hn::StoreU(power, d, word + v * kLanes);
       } else {
