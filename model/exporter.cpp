@@ -1,5 +1,6 @@
 #include "model/exporter.h"
 
+#include "model/checkpoint.h"
 #include "model/config_json.h"
 #include "model/safetensors.h"
 
@@ -64,6 +65,30 @@ bool compute_alike(const ModelConfig& a, const ModelConfig& b) {
          a.variable_mean == b.variable_mean && a.variable_std == b.variable_std;
 }
 
+// Weights and norms' statistics are averaged before norms are folded into weights: the mean of
+// folded weights is another network, and was worse on validation.
+DepthNetwork mean_of(const std::vector<DepthNetwork>& networks) {
+  const torch::NoGradGuard no_grad;
+  Tensors mean;
+  for (const DepthNetwork& network : networks) {
+    Tensors own;
+    collect(*network, "", own);
+    for (const auto& [name, tensor] : own) {
+      if (!tensor.is_floating_point()) {
+        mean.try_emplace(name, tensor);  // a norm's count
+      } else if (const auto [at, first] = mean.try_emplace(name, tensor.clone()); !first) {
+        at->second += tensor;
+      }
+    }
+  }
+  for (auto& [name, tensor] : mean) {
+    if (tensor.is_floating_point()) tensor /= static_cast<double>(networks.size());
+  }
+  DepthNetwork result(networks[0]->config);
+  restore(*result, "", mean);
+  return result;
+}
+
 }  // namespace
 
 Tensors fold_network(const DepthNetwork& network) {
@@ -90,7 +115,6 @@ Status export_mean(const std::vector<DepthNetwork>& networks, const std::string&
   if (networks.empty()) return Status::error(StatusCode::kInvalidInput, "no network to export");
   const Result<std::string> config = config_json(networks[0]->config);
   if (!config) return config.status();
-  TensorFile file{fold_network(networks[0]), {{"lcdm", *config}}};
   for (std::size_t i = 1; i < networks.size(); ++i) {
     if (!compute_alike(networks[0]->config, networks[i]->config)) {
       return Status::error(StatusCode::kInvalidInput,
@@ -98,10 +122,10 @@ Status export_mean(const std::vector<DepthNetwork>& networks, const std::string&
                            "only states of one training can be averaged",
                            i + 1);
     }
-    for (const auto& [name, tensor] : fold_network(networks[i])) file.tensors.at(name) += tensor;
   }
+  TensorFile file{fold_network(mean_of(networks)), {{"lcdm", *config}}};
   for (auto& [name, tensor] : file.tensors) {
-    tensor = (tensor / static_cast<double>(networks.size())).to(torch::kFloat16).contiguous();
+    tensor = tensor.to(torch::kFloat16).contiguous();
     if (!torch::isfinite(tensor).all().item<bool>()) {
       return Status::error(StatusCode::kInvalidInput, "%s does not fit into half precision",
                            name.c_str());
