@@ -17,8 +17,9 @@ std::map<std::string, torch::Tensor> fold_network(const DepthNetwork& network);
 Status export_network(const DepthNetwork& network, const std::string& path);
 
 // The same of the mean of several networks' weights and statistics, with the first one's name,
-// licence and card. They are to be states of one training, or of one that went on from the other: there the
-// mean is often better than each. kInvalidInput: none, or networks that do not compute alike.
+// licence and card. They are to be states of one training, or of one that went on from the other:
+// there the mean is often better than each. kInvalidInput: none, or networks that do not compute
+// alike.
 Status export_mean(const std::vector<DepthNetwork>& networks, const std::string& path);
 
 }  // namespace lcdm::model
