@@ -123,8 +123,8 @@ class Lowering {
   }
 
   // Whether what expands the inverted residual that ends in layer_ has the halves of its filter,
-  // which need no range. The first block's shift nothing; those that end at 1/4 cost two percent of
-  // a frame more than bytes, and leave two thirds of int8's difference in depth, and no frame that
+  // which need no range. The first block's shift nothing; those that end at 1/4 cost 2 to 3 % of a
+  // frame more than bytes, and leave two thirds of int8's difference in depth, and no frame that
   // changes its size by a fifth.
   bool expands_in_halves(Precision filter) const {
     const int shrunk = network_.width() / layer_.output.width;

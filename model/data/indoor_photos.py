@@ -23,7 +23,6 @@ another. The middle 4:3 part of each at 480x360; Places365's were pressed into s
 stretched back, which is right for those that lay. Their cameras are not known: the file's
 intrinsics are a guess. Needs python3-opencv.
 """
-import argparse
 import json
 import pathlib
 
@@ -72,14 +71,7 @@ def photograph(path, squeezed):
 
 
 def main():
-    options = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    options.add_argument(
-        "--checkouts", type=pathlib.Path, required=True, help="folder of the repositories"
-    )
-    options.add_argument("--output", type=pathlib.Path, required=True, help="folder of the pack")
-    given = options.parse_args()
+    given = packs.given_folders(__doc__)
     folder = given.output / "indoor_photos"
     (folder / "rgb").mkdir(parents=True, exist_ok=True)
     names = pathlib.Path(__file__).with_suffix(".txt").read_text().splitlines()

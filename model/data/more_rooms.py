@@ -24,7 +24,7 @@ Pack, frames, repository at commit: licence
                           loveoxford/vReLoc 58ed183: none stated;
                           Clouds1997/3D_line 4021489: none stated, ICL-NUIM and TUM RGB-D CC BY
 
-rgbd_singles are 13 places of as many cameras, where nothing else was taken: they validate. Depth in
+rgbd_singles are 13 places by several cameras, where nothing else was taken: they validate. Depth in
 the files is millimetres as the picture's camera sees it (public_rooms.py turns it where another
 camera saw it). Pictures are at most 640 wide. Needs python3-opencv and python3-scipy.
 """

@@ -104,8 +104,8 @@ def in_two_parts(frames):
     return named
 
 
-def make(description, packs, unit, quality):
-    """The scripts' main: packs, each a function of the folders of repositories -> their names."""
+def given_folders(description):
+    """What the scripts are called with."""
     options = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -113,7 +113,12 @@ def make(description, packs, unit, quality):
         "--checkouts", type=pathlib.Path, required=True, help="folder of the repositories"
     )
     options.add_argument("--output", type=pathlib.Path, required=True, help="folder of the packs")
-    given = options.parse_args()
+    return options.parse_args()
+
+
+def make(description, packs, unit, quality):
+    """The scripts' main: packs, each a function of the folders of repositories -> their names."""
+    given = given_folders(description)
     for frames, repositories in packs.items():
         folders = [given.checkouts / one for one in repositories]
         absent = [str(folder) for folder in folders if not folder.is_dir()]

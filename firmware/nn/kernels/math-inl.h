@@ -93,8 +93,8 @@ static constexpr PowerTerms kPowerTerms = {
 
 // 2^x times a constant near 74 (104 without AVX-512's instructions) for x in [-126, 119], within
 // 3e-6 relative, for a softmax: it divides by the sum of what it gets, so a factor does not matter,
-// and the error is that of a sum of a thousand floats. Two operations fewer for each score on a
-// processor's multipliers. `terms` are kPowerTerms.
+// and the error is about what a sum of a thousand floats may lose. Two operations fewer for each
+// score on a processor's multipliers. `terms` are kPowerTerms.
 HWY_INLINE FullVec exp2_times_constant(FullTag d, FullVec x, const PowerTerms& terms) {
   return exp2_by(d, x, terms.rounding, [&](FullVec r) HWY_ATTR {
     FullVec p = hn::Add(r, hn::Set(d, terms.term[0]));
