@@ -30,8 +30,11 @@ void restart_with_environment(char** argv) {
   setenv("MALLOC_TRIM_THRESHOLD_", "16000000000", 0);
   setenv("MALLOC_TOP_PAD_", "64000000", 0);
 #if defined(__x86_64__)
-  if (__builtin_cpu_supports("avx2")) {
-    setenv("OPENBLAS_CORETYPE", __builtin_cpu_supports("avx512f") ? "SKYLAKEX" : "HASWELL", 0);
+  if (__builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl")) {
+    setenv("OPENBLAS_CORETYPE", "SKYLAKEX", 0);
+    setenv("ATEN_CPU_CAPABILITY", "avx512", 0);  // LibTorch takes AVX2's kernels unless it is told
+  } else if (__builtin_cpu_supports("avx2")) {
+    setenv("OPENBLAS_CORETYPE", "HASWELL", 0);
   }
 #endif
   // oneDNN 2.6's AMX convolutions make bf16 gradients that are not finite.

@@ -113,8 +113,8 @@ TEST(DependencyRule, AppIncludesFirmwareAndDrivers) {
   expect_only("app", {"app/", "firmware/", "drivers/"});
 }
 
-TEST(DependencyRule, ModelIncludesFirmwareAndTheSourcesItTrainsOn) {
-  expect_only("model", {"model/", "firmware/", "drivers/scene/", "drivers/replay/",
+TEST(DependencyRule, ModelIncludesFirmwareHighwayAndTheSourcesItTrainsOn) {
+  expect_only("model", {"model/", "firmware/", "hwy/", "drivers/scene/", "drivers/replay/",
                         "drivers/mcap_camera", "drivers/codec/"});
 }
 
