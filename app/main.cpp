@@ -18,8 +18,6 @@ void quiet_libraries() {
   setenv("OPENCV_LOG_LEVEL", "OFF", 0);          // NOLINT(concurrency-mt-unsafe): no threads yet
   setenv("OPENCV_FFMPEG_LOGLEVEL", "-8", 0);     // NOLINT(concurrency-mt-unsafe): AV_LOG_QUIET
   setenv("LIBCAMERA_LOG_LEVELS", "*:FATAL", 0);  // NOLINT(concurrency-mt-unsafe)
-  // Formats whose headers we do not read ourselves are held to the same size.
-  setenv("OPENCV_IO_MAX_IMAGE_PIXELS", "100000000", 0);  // NOLINT(concurrency-mt-unsafe)
 }
 
 // One heap for all threads, and large blocks given back at once: otherwise each thread that ever

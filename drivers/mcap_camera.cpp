@@ -52,7 +52,8 @@ Status McapCamera::configure(const CaptureRequest& request) {
   auto segments = find_segments(path_);
   if (!segments) return segments.status();
   segments_ = std::move(*segments);
-  has_calibration_ = false;
+  topic_.clear();
+  calibrations_.clear();
   LCDM_RETURN_IF_ERROR(start());
   const Status status = inspect_first_frame(request.assumed_field_of_view);
   stop();
@@ -188,6 +189,34 @@ Result<wire::McapMessage> McapCamera::next_message() {
   }
 }
 
+// The first of each topic. Of cameras that are not played none is needed.
+Status McapCamera::keep_calibration(const wire::McapMessage& message) {
+  constexpr std::size_t kMost = 16;
+  const std::string topic(message.topic);
+  if (calibrations_.contains(topic) || calibrations_.size() == kMost) return Status::ok();
+  const auto calibration = wire::decode_camera_calibration(message.data);
+  if (calibration) {
+    calibrations_.emplace(topic, calibration->model);
+  } else if (calibration.code() == StatusCode::kUnsupported) {
+    calibrations_.emplace(topic, calibration.status());
+  } else {
+    return calibration.status();
+  }
+  return Status::ok();
+}
+
+// Of the pictures' camera: what lies beside their topic ("/left/image", "/left/calibration"), or
+// the only one there is. Null: none.
+const Result<CameraModel>* McapCamera::own_calibration() const {
+  const std::string place = topic_.substr(0, topic_.rfind('/') + 1);
+  const Result<CameraModel>* only = nullptr;
+  for (const auto& [topic, model] : calibrations_) {
+    if (topic.substr(0, topic.rfind('/') + 1) == place) return &model;
+    only = &model;
+  }
+  return calibrations_.size() == 1 ? only : nullptr;
+}
+
 // Reads on until the next picture lies in pending_. kTimeout: others' messages lay before it for
 // too long; the next call goes on there.
 Status McapCamera::fetch(std::int64_t deadline_ns) {
@@ -203,14 +232,14 @@ Status McapCamera::fetch(std::int64_t deadline_ns) {
       LCDM_RETURN_IF_ERROR(open_readable_segment(0));
       continue;
     }
+    if (message.code() == StatusCode::kUnavailable) continue;
     if (!message) return message.status();
     if (message->schema_name == wire::kCameraCalibrationSchema) {
-      const auto calibration = wire::decode_camera_calibration(message->data);
-      if (!calibration) return calibration.status();
-      if (!has_calibration_) model_ = calibration->model;
-      has_calibration_ = true;
+      LCDM_RETURN_IF_ERROR(keep_calibration(*message));
     }
     if (message->schema_name != wire::kCompressedImageSchema) continue;
+    if (topic_.empty()) topic_ = message->topic;
+    if (message->topic != topic_) continue;  // another camera's
     const auto image = wire::decode_compressed_image(message->data);
     if (!image) return image.status();
     if (image->format != "jpeg" || image->bytes.empty() || image->bytes.size() > kMaxJpeg) {
@@ -255,9 +284,15 @@ Status McapCamera::inspect_first_frame(float assumed_field_of_view) {
                          "mcap:%s: pictures of %dx%d: at most %d pixels a side can be used",
                          path_.c_str(), format_.width, format_.height, kMaxSide);
   }
-  if (!has_calibration_) {
-    model_ = CameraModel::from_field_of_view(format_.width, format_.height, assumed_field_of_view);
-  } else if (model_.width != format_.width || model_.height != format_.height) {
+  const Result<CameraModel>* calibration = own_calibration();
+  if (calibration != nullptr && !*calibration) {
+    return Status::error(StatusCode::kInvalidInput, "mcap:%s: %s", path_.c_str(),
+                         calibration->status().text());
+  }
+  model_ = calibration != nullptr ? **calibration
+                                  : CameraModel::from_field_of_view(format_.width, format_.height,
+                                                                    assumed_field_of_view);
+  if (model_.width != format_.width || model_.height != format_.height) {
     return Status::error(StatusCode::kInvalidInput,
                          "mcap:%s: pictures are %dx%d but the calibration says %dx%d",
                          path_.c_str(), format_.width, format_.height, model_.width, model_.height);

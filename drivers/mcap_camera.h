@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdio>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -13,11 +14,11 @@
 
 namespace lcdm {
 
-// Delivers the foxglove.CompressedImage messages (JPEG) of the recording, with the intrinsics its
-// foxglove.CameraCalibration messages carry. Live playback keeps the recorded pace and starts over
-// at the end; offline gives each frame once. A damaged chunk costs its frames, reported as
-// kCorrupt; a segment that a power cut ended plays up to its last whole chunk.
-// Threads: as Camera. Allocates while it reads: its capture thread is not sealed.
+// Delivers the foxglove.CompressedImage messages (JPEG) of the recording, of the first topic that
+// has some, with the intrinsics of the foxglove.CameraCalibration beside it. Live playback keeps
+// the recorded pace and starts over at the end; offline gives each frame once. A damaged chunk
+// costs its frames, reported as kCorrupt; a segment that a power cut ended plays up to its last
+// whole chunk. Threads: as Camera. Allocates while it reads: its capture thread is not sealed.
 class McapCamera final : public Camera {
  public:
   enum class Playback { kLive, kOffline };
@@ -47,6 +48,8 @@ class McapCamera final : public Camera {
   // one's fault where none can.
   Status open_readable_segment(std::size_t index);
   Result<wire::McapMessage> next_message();
+  Status keep_calibration(const wire::McapMessage& message);
+  const Result<CameraModel>* own_calibration() const;
   Status fetch(std::int64_t deadline_ns);
   Result<FrameFormat> find_first_picture();
   Status inspect_first_frame(float assumed_field_of_view);
@@ -61,7 +64,8 @@ class McapCamera final : public Camera {
 
   FrameFormat format_;
   CameraModel model_;
-  bool has_calibration_ = false;
+  std::string topic_;  // of the pictures: the first one's; empty: not known yet
+  std::map<std::string, Result<CameraModel>> calibrations_;  // by topic; an error: of no use
   std::array<Slot, kBuffers> slots_;
   std::vector<std::byte> pending_;  // the next frame's JPEG, waiting for its time
   bool has_pending_ = false;

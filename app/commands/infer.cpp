@@ -112,7 +112,9 @@ class Inference {
         timeouts = 0;
         const Status status = write(camera, frame->view);
         LCDM_RETURN_IF_ERROR(camera.requeue(frame->index));
-        LCDM_RETURN_IF_ERROR(pass_over(status));
+        // A JPEG of a kind that is not decoded is as good as a broken one.
+        const bool unreadable = status.code() == StatusCode::kUnsupported;
+        LCDM_RETURN_IF_ERROR(unreadable ? count_broken(status) : pass_over(status));
       } else if (frame.code() == StatusCode::kEndOfStream) {
         return Status::ok();
       } else if (frame.code() != StatusCode::kTimeout || ++timeouts == kMostTimeouts) {
@@ -124,7 +126,10 @@ class Inference {
 
   // A broken frame is named and counted; any other error ends the run.
   Status pass_over(const Status& status) {
-    if (status.code() != StatusCode::kCorrupt) return status;
+    return status.code() == StatusCode::kCorrupt ? count_broken(status) : status;
+  }
+
+  Status count_broken(const Status& status) {
     std::fprintf(stderr, "lcdm: %s\n", status.text());
     ++broken_;
     return Status::ok();

@@ -57,7 +57,8 @@ int inspect(const CommonOptions& common) {
   if (!network) return report(network.status());
   print_model(*file);
   print_plan(*network);
-  return kExitOk;
+  const Status complete = network->check_weights(*file);
+  return complete ? kExitOk : report(complete);
 }
 
 }  // namespace

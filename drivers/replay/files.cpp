@@ -11,6 +11,8 @@
 #include <nlohmann/json.hpp>
 #include <system_error>
 
+#include "drivers/replay/image_header.h"
+#include "firmware/base/file.h"
 #include "firmware/base/folder.h"
 
 namespace lcdm::replay {
@@ -19,8 +21,6 @@ namespace {
 namespace fs = std::filesystem;
 constexpr std::size_t kMaxImageBytes = 256U << 20;
 constexpr std::size_t kMaxJsonBytes = 1U << 20;
-constexpr std::uint64_t kMaxPixels = 100'000'000;
-constexpr std::uint64_t kMaxSide = 8192;  // as the engine's pre-processing
 
 using File = std::unique_ptr<std::FILE, int (*)(std::FILE*)>;
 
@@ -28,6 +28,10 @@ bool is_digit(char c) { return c >= '0' && c <= '9'; }
 
 // Up to `limit` bytes of a file, and one more where it is longer.
 Result<std::vector<std::uint8_t>> read_bytes(const std::string& path, std::size_t limit) {
+  if (!is_plain_file(path)) {
+    return Status::error(StatusCode::kInvalidInput, "file:%s: cannot open: it is no file",
+                         path.c_str());
+  }
   const File file(std::fopen(path.c_str(), "rbe"), &std::fclose);
   if (file == nullptr) return Status::system(errno, "file:%s: cannot open", path.c_str());
   std::vector<std::uint8_t> bytes;
@@ -41,65 +45,6 @@ Result<std::vector<std::uint8_t>> read_bytes(const std::string& path, std::size_
     return Status::system(errno, "file:%s: cannot read", path.c_str());
   }
   return bytes;
-}
-
-std::uint32_t big_endian(std::span<const std::uint8_t> bytes) {
-  std::uint32_t value = 0;
-  for (const std::uint8_t byte : bytes) value = value << 8 | byte;
-  return value;
-}
-
-const char* size_fault(std::uint64_t width, std::uint64_t height) {
-  if (width == 0 || height == 0) return "it has no size";
-  if (width > kMaxSide || height > kMaxSide) return "a side is longer than 8192 pixels";
-  return width * height > kMaxPixels ? "it has over 100 megapixels" : nullptr;
-}
-
-// Walks the marker segments (ITU-T T.81, B.1) to the end of the image.
-const char* jpeg_fault(std::span<const std::uint8_t> bytes) {
-  constexpr const char* kCut = "it is cut short";
-  std::size_t at = 2;
-  while (true) {
-    // Entropy-coded data, fill bytes and stuffed or restart markers lie between segments.
-    while (at + 1 < bytes.size() &&
-           (bytes[at] != 0xFF || bytes[at + 1] == 0 || bytes[at + 1] == 0xFF ||
-            (bytes[at + 1] >= 0xD0 && bytes[at + 1] <= 0xD7))) {
-      ++at;
-    }
-    if (at + 1 >= bytes.size()) return kCut;
-    const std::uint8_t marker = bytes[at + 1];
-    at += 2;
-    if (marker == 0xD9) return nullptr;
-    if (at + 2 > bytes.size()) return kCut;
-    const std::uint32_t length = big_endian(bytes.subspan(at, 2));
-    if (at + length > bytes.size()) return kCut;
-    const bool frame =
-        marker >= 0xC0 && marker <= 0xCF && marker != 0xC4 && marker != 0xC8 && marker != 0xCC;
-    if (frame && length >= 7) {
-      const char* fault =
-          size_fault(big_endian(bytes.subspan(at + 5, 2)), big_endian(bytes.subspan(at + 3, 2)));
-      if (fault != nullptr) return fault;
-    }
-    at += std::max<std::uint32_t>(length, 2);
-  }
-}
-
-// Walks the chunks (ISO/IEC 15948, 5.3) to IEND.
-const char* png_fault(std::span<const std::uint8_t> bytes) {
-  constexpr std::size_t kSignature = 8;
-  constexpr std::size_t kAround = 12;  // length, type and checksum of a chunk
-  if (bytes.size() < kSignature + kAround + 13) return "it is cut short";
-  const char* fault =
-      size_fault(big_endian(bytes.subspan(16, 4)), big_endian(bytes.subspan(20, 4)));
-  if (fault != nullptr) return fault;
-  std::size_t at = kSignature;
-  while (at + kAround <= bytes.size()) {
-    const std::size_t length = big_endian(bytes.subspan(at, 4));
-    const bool end = big_endian(bytes.subspan(at + 4, 4)) == 0x49454E44;  // "IEND"
-    at += kAround + length;
-    if (end && at <= bytes.size()) return nullptr;
-  }
-  return "it is cut short";
 }
 
 Result<CameraModel> parse_intrinsics(const std::string& path) {
@@ -188,12 +133,6 @@ Result<std::vector<std::string>> list_images(const std::string& folder) {
   }
   std::sort(names.begin(), names.end(), natural_less);
   return names;
-}
-
-const char* image_fault(std::span<const std::uint8_t> bytes) {
-  if (bytes.size() >= 2 && bytes[0] == 0xFF && bytes[1] == 0xD8) return jpeg_fault(bytes);
-  if (bytes.size() >= 4 && big_endian(bytes.first(4)) == 0x89504E47) return png_fault(bytes);
-  return nullptr;
 }
 
 Result<std::vector<std::uint8_t>> read_image_file(const std::string& path) {

@@ -25,9 +25,6 @@ Result<std::vector<std::string>> list_images(const std::string& folder);
 // larger than 100 megapixels (decoders would fill in grey or take all memory).
 Result<std::vector<std::uint8_t>> read_image_file(const std::string& path);
 
-// What keeps these bytes from being decoded as a JPEG or PNG; null for nothing, or another format.
-const char* image_fault(std::span<const std::uint8_t> bytes);
-
 // Intrinsics from `intrinsics.json` in the folder or one up: keys width, height, fx, fy, cx, cy in
 // pixels. A model of width 0 where there is no file or it gives no fx. kInvalidInput: a file that
 // makes no sense.

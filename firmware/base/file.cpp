@@ -28,6 +28,19 @@ Status write_file(const std::string& path, std::string_view text) {
   return write_file(path, std::as_bytes(std::span(text)));
 }
 
+bool is_plain_file(const std::string& path) {
+  std::error_code ignored;
+  switch (std::filesystem::status(path, ignored).type()) {
+    case std::filesystem::file_type::regular:
+    case std::filesystem::file_type::not_found:
+    case std::filesystem::file_type::none:  // as for a folder that may not be entered
+    case std::filesystem::file_type::unknown:
+      return true;
+    default:
+      return false;
+  }
+}
+
 Status unreadable_file(const char* what, const std::string& path, int sys_errno) {
   const bool lasts = sys_errno == ENOENT || sys_errno == ENOTDIR || sys_errno == EISDIR ||
                      sys_errno == ELOOP || sys_errno == ENAMETOOLONG || sys_errno == EACCES;

@@ -15,6 +15,10 @@ namespace lcdm {
 Status write_file(const std::string& path, std::span<const std::byte> bytes);
 Status write_file(const std::string& path, std::string_view text);
 
+// False for a folder, and for a pipe or a device, which to open or to read may take for ever; true
+// where nothing is, so that opening it tells.
+bool is_plain_file(const std::string& path);
+
 // Why `path` could not be read, by its errno; `what` is its name for a person ("the model").
 // kInvalidInput: it is not there or may not be read, until somebody mends that; kIoError: what may
 // pass.

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <span>
 #include <string>
 #include <string_view>
 
@@ -18,12 +19,18 @@ inline std::size_t find_control(std::string_view text) {
   return std::string_view::npos;
 }
 
-// With question marks in their place.
+// Puts question marks in their place.
+inline void hide_controls(std::span<char> text) {
+  const std::string_view view(text.data(), text.size());
+  for (std::size_t i = find_control(view); i != std::string_view::npos; i = find_control(view)) {
+    text[i] = '?';
+  }
+}
+
+// The text without them.
 inline std::string printable(std::string_view text) {
   std::string result(text);
-  for (std::size_t i = find_control(result); i != std::string::npos; i = find_control(result)) {
-    result[i] = '?';
-  }
+  hide_controls(result);
   return result;
 }
 

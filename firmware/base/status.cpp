@@ -4,7 +4,15 @@
 #include <cstdlib>
 #include <cstring>
 
+#include "firmware/base/printable.h"
+
 namespace lcdm {
+namespace {
+
+// What a file's name or contents put into a text must not steer the terminal that shows it.
+void hide_controls_in(char* text) { hide_controls({text, std::strlen(text)}); }
+
+}  // namespace
 
 void check_failed(const char* condition, const char* file, int line) noexcept {
   std::fprintf(stderr, "bug: %s does not hold at %s:%d\n", condition, file, line);
@@ -21,6 +29,7 @@ Status Status::error(StatusCode code, const char* format, ...) {
   // NOLINTNEXTLINE(clang-analyzer-valist.Uninitialized)
   std::vsnprintf(status.text_, sizeof(status.text_), format, arguments);
   va_end(arguments);
+  hide_controls_in(status.text_);
   return status;
 }
 
@@ -40,6 +49,7 @@ Status Status::system(int sys_errno, const char* format, ...) {
   char buffer[96];
   const char* meaning = strerror_r(sys_errno, buffer, sizeof(buffer));
   std::snprintf(status.text_ + used, sizeof(status.text_) - used, ": %s", meaning);
+  hide_controls_in(status.text_);
   return status;
 }
 

@@ -104,6 +104,11 @@ float half_to_float(std::uint16_t half) {
 }
 
 Result<ModelFile> ModelFile::load(const std::string& path) {
+  if (!is_plain_file(path)) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "cannot read the model %.120s: it is no file: give an existing one",
+                         path.c_str());
+  }
   const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(std::fopen(path.c_str(), "rb"),
                                                              &std::fclose);
   if (file == nullptr) return unreadable_file("the model", path, errno);

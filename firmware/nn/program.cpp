@@ -8,6 +8,9 @@
 namespace lcdm {
 namespace {
 
+// Far more than ours take at any size, and what a board can do without.
+constexpr std::size_t kMostArenaBytes = 512U << 20;
+
 // The sampler's start, as a constant.
 Result<std::span<float>> make_start(const Network& network, ConstantStore& constants) {
   const std::size_t count =
@@ -24,6 +27,13 @@ Result<std::span<float>> make_start(const Network& network, ConstantStore& const
 Result<Program> Program::build(const Network& network, const ModelFile& model,
                                const Options& options) {
   const NetworkPlan plan = plan_network(network, options.keep_tensors);
+  if (plan.memory.bytes > kMostArenaBytes && !options.keep_tensors) {
+    return Status::error(
+        StatusCode::kInvalidInput,
+        "this model's layers need %zu MB at %dx%d, at most %zu are given: choose a "
+        "smaller model.width and model.height, or another model",
+        plan.memory.bytes >> 20, network.width(), network.height(), kMostArenaBytes >> 20);
+  }
   Program program;
   Result<Arena> arena = Arena::allocate(plan.memory.bytes);
   if (!arena) return arena.status();

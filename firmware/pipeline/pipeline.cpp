@@ -10,7 +10,6 @@
 #include "firmware/pipeline/pipeline.h"
 
 #include <algorithm>
-#include <cerrno>
 #include <cstdio>
 #include <utility>
 
@@ -25,6 +24,9 @@ using std::chrono::milliseconds;
 // These bound how long stop() takes.
 constexpr milliseconds kLongestDequeue{300};
 constexpr milliseconds kTakeTimeout{200};
+
+// However long a frame takes, depth comes in time for the supervisor.
+constexpr std::int64_t kLongestRestNs = 2'000'000'000;
 
 // How long three frames take: a camera that gives none for so long has lost some. A driver that
 // tells of less than the half frame a second that can be asked for is not believed: silence must be
@@ -276,7 +278,7 @@ Status Pipeline::infer(const FrameView& captured) {
       engine.run(*pixels, {frame.camera.width, frame.camera.height, millimetres_.data(), nullptr}));
   frame.done_ns = os::monotonic_ns();
   frame.inference_ns = frame.done_ns - begin_ns;
-  rest_until_ns_ = frame.done_ns + frame.inference_ns;
+  rest_until_ns_ = frame.done_ns + std::min(frame.inference_ns, kLongestRestNs);
   small_in_use_ = small;
   deliver(frame);
   return Status::ok();

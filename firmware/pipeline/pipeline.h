@@ -82,8 +82,8 @@ class Pipeline {
   // Opens the camera, prepares everything, starts the threads. A camera with a port that is not
   // plugged in is waited for (the state is then kNoCamera), and one that fails is brought back like
   // any other (kNoSignal); where it could not be opened the engine is prepared when it can. What
-  // only a person can cure is an error: missing permission, a format that nobody knows, an engine
-  // that cannot be made. On error nothing runs. Once only.
+  // only another start can cure is an error: a format that nobody knows, an engine that cannot be
+  // made. On error nothing runs. Once only.
   Status start();
   // Ends and joins both threads: after the frame in work, within one dequeue time-out, and when the
   // driver that recovery waits for gives the camera back. Again is harmless.

@@ -20,16 +20,18 @@ RecoveryStep RecoveryLadder::next(StatusCode fault, std::int64_t now_ns) {
   if (depth >= options_.last_backoff) waits_ = 0;
   if (depth >= options_.steady_after) steps_ = waits_ = 0;
   depth_since_ns_ = -1;
+  const std::int64_t since_ns = now_ns - std::max(last_call_ns_, last_depth_ns_);
+  last_call_ns_ = now_ns;
 
   if (fault == StatusCode::kNotFound || fault == StatusCode::kDeviceGone) {
-    last_depth_ns_ = now_ns;  // its absence is nothing that a new process would cure
+    last_depth_ns_ += since_ns;  // its absence is nothing that a new process would cure
     note_nothing_open();
     return {RecoveryRung::kWaitForDevice, backoff()};
   }
   // A source that changed its format, that another program holds or that may not be opened: what is
   // mapped is of no use, and neither a reset of its port nor a new process would cure it.
   if (fault == StatusCode::kUnavailable) {
-    last_depth_ns_ = now_ns;
+    last_depth_ns_ += since_ns;
     ++steps_;
     return {RecoveryRung::kReopen, backoff()};
   }

@@ -36,7 +36,7 @@ struct RecoveryStep {
 class RecoveryLadder {
  public:
   RecoveryLadder(const RecoveryOptions& options, std::int64_t now_ns)
-      : options_(options), last_depth_ns_(now_ns) {}
+      : options_(options), last_depth_ns_(now_ns), last_call_ns_(now_ns) {}
 
   // A frame became depth: the camera works.
   void note_depth(std::int64_t now_ns);
@@ -51,7 +51,11 @@ class RecoveryLadder {
   std::chrono::milliseconds backoff();
 
   RecoveryOptions options_;
+  // The time without depth counts from here: the last depth, moved on by how long the device was
+  // away or kept from us since. Each reset takes it away for a moment; were that a new beginning, a
+  // process that no reset helps would never end.
   std::int64_t last_depth_ns_;
+  std::int64_t last_call_ns_;         // of next()
   std::int64_t depth_since_ns_ = -1;  // without a fault; negative: none since the last one
   int steps_ = 0;                     // on devices that are there, since depth was steady
   int waits_ = 0;                     // steps of any kind since the wait began anew

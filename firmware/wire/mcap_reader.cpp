@@ -27,11 +27,10 @@ Status McapReader::open() {
 }
 
 Result<McapMessage> McapReader::next() {
-  while (true) {
-    if (!records_.empty()) {
+  for (std::size_t aside = 0; aside <= kMaxAside; aside += body_.size() + 1) {
+    while (!records_.empty()) {
       auto message = next_in_chunk();
       if (message || message.code() != StatusCode::kUnavailable) return message;
-      continue;
     }
     if (ended_) return end_of_file();
     LCDM_RETURN_IF_ERROR(read_record());
@@ -56,6 +55,7 @@ Result<McapMessage> McapReader::next() {
         break;
     }
   }
+  return Status::error(StatusCode::kUnavailable, "no message yet");
 }
 
 // Reads one record into op_ and body_. A file that stops inside one is truncated.

@@ -28,6 +28,7 @@ struct McapMessage {
 // Allocates as the file asks, up to kMaxRecord. Not thread-safe.
 class McapReader {
  public:
+  static constexpr std::size_t kMaxAside = 16U << 20;       // bytes that are no message, of a call
   static constexpr std::uint64_t kMaxRecord = 64ULL << 20;  // bytes of one record
   static constexpr std::size_t kMaxChannels = 1024;
   static constexpr std::size_t kMaxName = 1024;  // bytes of a topic or of a schema's name
@@ -38,8 +39,9 @@ class McapReader {
   Status open();
 
   // The next message in file order. kEndOfStream at the end and where a cut file stops (see
-  // truncated()); kCorrupt when a chunk's checksum or a record's form is wrong (the reader goes on
-  // behind that chunk at the next call); kUnsupported for a compressed chunk.
+  // truncated()); kUnavailable: much else lay before it, go on at the next call; kCorrupt when a
+  // chunk's checksum or a record's form is wrong (the reader goes on behind that chunk at the next
+  // call); kUnsupported for a compressed chunk.
   Result<McapMessage> next();
 
   // The file ended without its footer: what was readable was delivered.

@@ -160,6 +160,11 @@ TEST_F(Cli, RefusesAModelThatIsMissingTruncatedOrHostile) {
   const std::string hostile = folder_.write("hostile.safetensors", std::string(8, '\xff') + "{}");
   expect_refusal({"bench", "--model", hostile}, 78, "hostile.safetensors");
   expect_refusal({"inspect", "model", hostile}, 78, "hostile.safetensors");
+  const ModelConfig config = test::make_config(EncoderKind::kXxs, PresetKind::kLcdm);
+  const std::string lacking =
+      folder_.write("lacking.safetensors",
+                    test::make_model_image(test::metadata_json(config), {{"a", {1}, {0}}}));
+  EXPECT_EQ(lcdm({"inspect", "model", lacking}).status, 78);
   expect_refusal(
       {"infer", "--source", "scene:", "--output", folder_.file("out"), "--model", hostile}, 78,
       "hostile.safetensors");

@@ -19,6 +19,9 @@
 
 #include "drivers/codec/codec.h"
 #include "drivers/mcap_camera.h"
+#include "firmware/wire/foxglove.h"
+#include "firmware/wire/mcap_writer.h"
+#include "tests/support/file_sink.h"
 #include "tests/support/temporary_folder.h"
 
 namespace lcdm {
@@ -188,6 +191,48 @@ TEST_F(RecorderTest, LivePlaybackSkipsTheTimeBetweenTwoRecordings) {
     ASSERT_TRUE(played) << i << ": " << played.status().text();
     ASSERT_TRUE(camera.requeue(played->index));
   }
+}
+
+// As a stereo rig's recorder writes: the first pictures' camera plays, with its own intrinsics.
+TEST_F(RecorderTest, OfTwoCamerasOnePlaysWithItsOwnCalibration) {
+  const auto file = folder_ / "two.mcap";
+  fs::create_directories(folder_);
+  {
+    test::FileSink sink(file.string());
+    const wire::McapChannel channels[] = {
+        {"/left/calibration", wire::kCameraCalibrationSchema, {}},
+        {"/right/calibration", wire::kCameraCalibrationSchema, {}},
+        {"/right/image", wire::kCompressedImageSchema, {}},
+        {"/left/image", wire::kCompressedImageSchema, {}}};
+    wire::McapWriter writer(1U << 16, 64, 64);
+    ASSERT_TRUE(writer.begin(sink, channels, {}));
+    std::vector<std::byte> block(1U << 14);
+    const auto add = [&](std::uint16_t channel, const auto& message) {
+      wire::ByteWriter out(block);
+      wire::encode(message, out);
+      ASSERT_TRUE(writer.write_message(channel, 0, 0, out.written()));
+    };
+    add(1, wire::CameraCalibration{kFirstStamp, {640, 480, 500, 500, 319.5F, 239.5F, true}});
+    add(2, wire::CameraCalibration{kFirstStamp, kCamera});
+    JpegWriter jpeg(kKeptQuality);
+    for (int i = 0; i < 6; ++i) {
+      add(i % 2 == 0 ? 3 : 4,
+          wire::CompressedImage{kFirstStamp + i * kPeriod, "jpeg", *jpeg.encode(frame(i))});
+    }
+    ASSERT_TRUE(writer.finish());
+  }
+  McapCamera camera(file.string(), McapCamera::Playback::kOffline);
+  const Status configured = camera.configure({});
+  ASSERT_TRUE(configured) << configured.text();
+  EXPECT_FLOAT_EQ(camera.model().fy, kCamera.fy);
+  ASSERT_TRUE(camera.start());
+  for (int i = 0; i < 6; i += 2) {
+    const auto played = camera.dequeue(milliseconds(500));
+    ASSERT_TRUE(played) << played.status().text();
+    EXPECT_EQ(played->view.meta.unix_ns, kFirstStamp + i * kPeriod);
+    ASSERT_TRUE(camera.requeue(played->index));
+  }
+  EXPECT_EQ(camera.dequeue(milliseconds(10)).code(), StatusCode::kEndOfStream);
 }
 
 TEST_F(RecorderTest, ASegmentThatAPowerCutLeftEmptyIsPassedOver) {

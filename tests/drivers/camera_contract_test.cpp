@@ -23,6 +23,7 @@
 #include "firmware/wire/foxglove.h"
 #include "firmware/wire/mcap_writer.h"
 #include "tests/support/fake_v4l2.h"
+#include "tests/support/file_sink.h"
 #include "tests/support/temporary_folder.h"
 
 namespace lcdm {
@@ -77,24 +78,10 @@ std::unique_ptr<Camera> make_video(World& world) {
   return std::make_unique<ReplayCamera>(path, ReplayCamera::Playback::kLive);
 }
 
-class FileSink final : public wire::ByteSink {
- public:
-  explicit FileSink(const std::string& path) : file_(path, std::ios::binary) {}
-  Status write(std::span<const std::byte> bytes) override {
-    file_.write(reinterpret_cast<const char*>(bytes.data()),
-                static_cast<std::streamsize>(bytes.size()));
-    return Status::ok();
-  }
-  Status flush() override { return Status::ok(); }
-
- private:
-  std::ofstream file_;
-};
-
 std::unique_ptr<Camera> make_recording(World& world) {
   const wire::McapChannel channels[] = {{"/camera/image", wire::kCompressedImageSchema,
                                          wire::foxglove_descriptor(wire::kCompressedImageSchema)}};
-  FileSink sink(world.folder.file("clip.mcap"));
+  test::FileSink sink(world.folder.file("clip.mcap"));
   wire::McapWriter writer(1U << 16, 64, 64);
   EXPECT_TRUE(writer.begin(sink, channels, {}));
   std::vector<std::byte> block(1U << 15);

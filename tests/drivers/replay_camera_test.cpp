@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/videoio.hpp>
+#include <sys/stat.h>
 
 #include "drivers/replay/camera.h"
 #include "drivers/replay/files.h"
@@ -141,6 +142,45 @@ TEST(ReplayFolder, CutAndOversizedImagesAreNoticedInEveryFormat) {
   const Status status = failure_of(folder.write("huge.png", huge));
   EXPECT_EQ(status.code(), StatusCode::kCorrupt);
   EXPECT_TRUE(mentions(status, "longer than 8192 pixels")) << status.text();
+}
+
+// OpenCV's own limit is ten times as many pixels.
+TEST(ReplayFolder, SizesAreReadBeforeADecoderTakesMemoryForThem) {
+  const TemporaryFolder folder;
+  const std::string sixty_thousand("\x60\xEA\0\0", 4);
+  write_image(folder.file("x.bmp"), 64, 48, 50);
+  std::string bmp = text_of(folder.file("x.bmp"));
+  bmp.replace(18, 4, sixty_thousand);
+  write_image(folder.file("x.tif"), 64, 48, 50);
+  std::string tiff = text_of(folder.file("x.tif"));
+  const std::string width_tag("\0\x01", 2);  // 256, behind which are its type and a count of one
+  std::size_t at = tiff.find(width_tag + '\x03' + std::string("\0\x01\0\0\0", 5));
+  if (at == std::string::npos) at = tiff.find(width_tag + '\x04' + std::string("\0\x01\0\0\0", 5));
+  ASSERT_NE(at, std::string::npos);
+  tiff.replace(at + 8, 2, sixty_thousand, 0, 2);
+  for (const std::string& file : {folder.write("huge.bmp", bmp), folder.write("huge.tif", tiff)}) {
+    const Status status = failure_of(file);
+    EXPECT_EQ(status.code(), StatusCode::kCorrupt);
+    EXPECT_TRUE(mentions(status, "longer than 8192 pixels")) << status.text();
+  }
+}
+
+// It would be said twice, once by the decoder.
+TEST(ReplayFolder, WhatIsNoPictureIsNotGivenToADecoder) {
+  const TemporaryFolder folder;
+  for (const char* bytes : {"no picture at all", "BM", "II*"}) {
+    const Status status = failure_of(folder.write("a.jpg", bytes));
+    EXPECT_EQ(status.code(), StatusCode::kCorrupt) << bytes;
+    EXPECT_TRUE(mentions(status, "it is no JPEG") || mentions(status, "cut short"))
+        << status.text();
+  }
+}
+
+// To open it waits until somebody writes to it.
+TEST(ReplayImage, APipeIsNoPicture) {
+  const TemporaryFolder folder;
+  ASSERT_EQ(mkfifo(folder.file("a.png").c_str(), 0600), 0);
+  EXPECT_TRUE(mentions(failure_of(folder.file("a.png")), "no file"));
 }
 
 TEST(ReplayFolder, AnImageFollowedByOtherBytesIsWhole) {

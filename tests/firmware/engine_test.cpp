@@ -270,6 +270,18 @@ TEST(Engine, LastRowMayLackItsPadding) {
   EXPECT_TRUE(bench.run(*engine));
 }
 
+// Each of its channels is within the limit; a board would be out of memory before the first frame.
+TEST(Engine, RefusesAModelThatNeedsMoreMemoryThanABoardHas) {
+  ModelConfig config = test::make_config(EncoderKind::kXxs, PresetKind::kPaper);
+  config.decoder_widths.fill(ModelConfig::kMaxChannels);
+  config.condition_channels = ModelConfig::kMaxChannels;
+  const auto model = ModelFile::parse(test::make_random_model(config, 1));
+  ASSERT_TRUE(model) << model.status().text();
+  const auto engine = Engine::prepare(*model, {1024, 1024}, kFormat, kCamera);
+  EXPECT_EQ(engine.code(), StatusCode::kInvalidInput);
+  EXPECT_THAT(engine.status().text(), HasSubstr("at most 512 are given"));
+}
+
 TEST(Engine, PrepareSaysWhatCannotBeUsed) {
   const ModelFile model = make_model();
   const auto refusal = [&](const EngineOptions& options, const FrameFormat& format,

@@ -33,6 +33,14 @@ TEST(UnreadableFile, IsWrongForGoodOrJustNow) {
   }
 }
 
+// Names of files and what recordings say are in it.
+TEST(StatusText, DoesNotSteerTheTerminal) {
+  const Status status =
+      Status::error(StatusCode::kCorrupt, "lens \"%s\"", "\x1b]0;title\a\x1b[31mred");
+  EXPECT_STREQ(status.text(), "lens \"?]0;title??[31mred\"");
+  EXPECT_STREQ(Status::system(ENOENT, "a\nb").text(), "a?b: No such file or directory");
+}
+
 TEST(WriteFile, AFullDiskOrMissingFolderIsNamedAndLeavesNothing) {
   const std::vector<std::byte> bytes(1U << 16);
   const Status full = write_file("/dev/full", bytes);

@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 #include <limits>
 #include <random>
+#include <sys/stat.h>
 
 #include "firmware/nn/network.h"
 #include "tests/support/random_model.h"
@@ -180,6 +181,13 @@ TEST(ModelFile, MissingFileSaysWhichAndWhatToDo) {
   EXPECT_EQ(model.code(), StatusCode::kInvalidInput);
   EXPECT_THAT(model.status().text(), HasSubstr("/nowhere/model.safetensors"));
   EXPECT_EQ(ModelFile::load("/").code(), StatusCode::kInvalidInput);
+}
+
+// To open it waits until somebody writes to it.
+TEST(ModelFile, APipeIsNone) {
+  const test::TemporaryFolder folder;
+  ASSERT_EQ(mkfifo(folder.file("pipe").c_str(), 0600), 0);
+  EXPECT_EQ(ModelFile::load(folder.file("pipe")).code(), StatusCode::kInvalidInput);
 }
 
 TEST(ModelFile, LoadReadsWhatParseReads) {

@@ -129,6 +129,23 @@ TEST_F(RecoveryLadderTest, GivesUpAMinuteAfterTheLastDepth) {
   EXPECT_LT(now_ns_ - begin, 62'000 * kMs);
 }
 
+// A reset takes a USB camera away for a moment, or leaves its node to root for one: that is no new
+// beginning, or a process that only its end would cure would reset the port for ever.
+TEST_F(RecoveryLadderTest, GivesUpThoughEachResetTakesTheDeviceAwayForAMoment) {
+  for (const StatusCode moment : {StatusCode::kNotFound, StatusCode::kUnavailable}) {
+    ladder_ = RecoveryLadder({}, now_ns_);
+    const std::int64_t begin = now_ns_;
+    Rung rung = Rung::kRestartStream;
+    for (int i = 0; i < 1000 && rung != Rung::kRestartProcess; ++i) {
+      rung = rung_after(StatusCode::kIoError);
+      if (rung != Rung::kResetPort) continue;
+      EXPECT_NE(rung_after(moment), Rung::kRestartProcess);
+    }
+    EXPECT_EQ(rung, Rung::kRestartProcess);
+    EXPECT_LT(now_ns_ - begin, 180'000 * kMs);
+  }
+}
+
 TEST_F(RecoveryLadderTest, NeverGivesUpWhileDepthComesNowAndThen) {
   for (int i = 0; i < 100; ++i) {
     ASSERT_NE(rung_after(StatusCode::kCorrupt), Rung::kRestartProcess);

@@ -253,6 +253,26 @@ TEST(McapReader, RefusesANameThatIsLongerThanNames) {
   EXPECT_GT(reading.errors, 0);
 }
 
+// Whoever waits for a picture looks at the clock between calls.
+TEST(McapReader, DoesNotReadOnForEverWhereThereIsNoMessage) {
+  MemorySink sink = record_pictures(1, false);
+  const std::size_t aside = McapReader::kMaxAside / 4;
+  for (int i = 0; i < 8; ++i) {
+    std::vector<std::byte> attachment(9 + aside, std::byte{0});
+    attachment[0] = std::byte{0x09};
+    std::memcpy(&attachment[1], &aside, sizeof(aside));  // little-endian, as all of our targets
+    sink.data.insert(sink.data.end(), attachment.begin(), attachment.end());
+  }
+  McapReader reader(from_memory(sink.data));
+  ASSERT_TRUE(reader.open());
+  std::vector<StatusCode> codes;
+  do {
+    codes.push_back(reader.next().code());
+  } while (codes.back() != StatusCode::kEndOfStream && codes.size() < 20);
+  EXPECT_GT(std::count(codes.begin(), codes.end(), StatusCode::kUnavailable), 0);
+  EXPECT_EQ(codes.back(), StatusCode::kEndOfStream);
+}
+
 TEST(McapReader, SurvivesTenThousandDamagedFiles) {
   const MemorySink sink = record_pictures(4);
   std::mt19937 random(7);
