@@ -39,7 +39,7 @@ void add_ablate(CLI::App& app, Status& status) {
       "goes on where it stopped");
   auto options = std::make_shared<Options>();
   add_data_options(*command, options->data);
-  add_recipe_options(*command, options->recipe);
+  add_row_options(*command, options->recipe);
   add_compute_options(*command, options->compute);
   command->add_option("--output", options->ablation.folder, "Folder of the runs and tables")
       ->capture_default_str();

@@ -11,6 +11,7 @@
 #include "model/evaluation.h"
 #include "model/html_page.h"
 #include "model/training_log.h"
+#include "model/training_text.h"
 
 namespace lcdm::model {
 namespace {
@@ -40,26 +41,10 @@ std::string folder_name(const AblationRow& row, int seed) {
   return name;
 }
 
-std::string text_of(const Pack& pack) {
-  const PackUse& use = pack.use;
-  char numbers[160];
-  std::snprintf(numbers, sizeof(numbers),
-                ", teacher %d, alignment %d, trust %g, shares %g and %g, things %g, view %g",
-                static_cast<int>(use.teacher), static_cast<int>(use.alignment),
-                static_cast<double>(use.weight), static_cast<double>(use.wide_share),
-                static_cast<double>(use.tall_share), static_cast<double>(use.things),
-                static_cast<double>(use.field_of_view));
-  return "trains on " + std::to_string(pack.train.size()) + " frames of " + use.name + numbers +
-         (use.teacher == Teacher::kMaps ? ", maps " + use.maps : "") +
-         (use.video ? ", video" : "") + (use.learn_intrinsics ? ", learned intrinsics" : "") + "\n";
-}
-
 // Everything that decides what a row becomes, in words.
 std::string text_of(const Recipe& recipe, const Data& data) {
-  std::string text = recipe_text(recipe);
-  for (const Pack& pack : data.packs) text += text_of(pack);
-  text += "medleys painted with " + std::to_string(data.photographs) + " photographs\n";
-  return text;
+  return training_text(recipe, data.packs) + "medleys painted with " +
+         std::to_string(data.photographs) + " photographs\n";
 }
 
 // Keeps in a new folder what its network is trained by; kInvalidInput: another one began there.
@@ -79,14 +64,14 @@ Status claim(const fs::path& folder, const std::string& recipe) {
                        folder.c_str());
 }
 
-// The averaged network of a finished training in `folder`.
+// Trains what `folder` has not finished.
 Status train_row(const Recipe& recipe, const Data& data, const Compute& compute,
                  const fs::path& folder) {
   LCDM_RETURN_IF_ERROR(claim(folder, text_of(recipe, data)));
   const auto trainer = Trainer::make(recipe, data.packs, compute);
   if (!trainer) return trainer.status();
   const std::string checkpoint = (folder / "checkpoint.safetensors").string();
-  if (fs::exists(checkpoint)) LCDM_RETURN_IF_ERROR((*trainer)->resume(checkpoint));
+  if (fs::exists(checkpoint)) LCDM_RETURN_IF_ERROR((*trainer)->resume(checkpoint).status());
   if ((*trainer)->done()) return Status::ok();
   TrainingLog log(folder, (*trainer)->step(), recipe.steps);
   while (!(*trainer)->done()) {
@@ -101,7 +86,7 @@ Status train_row(const Recipe& recipe, const Data& data, const Compute& compute,
   return Status::ok();
 }
 
-// On the last stage's size: what the network was trained for.
+// Measured at the last stage's size: what the network was trained for.
 Status measure_row(const AblationRow& row, int seed, double share, const Data& data,
                    const fs::path& folder, std::vector<Score>& scores) {
   const Result<DepthNetwork> loaded = load_checkpoint((folder / "checkpoint.safetensors").string());
@@ -113,6 +98,10 @@ Status measure_row(const AblationRow& row, int seed, double share, const Data& d
       const Pack& pack = data.packs[i];
       const SetResult result =
           evaluate(*pack.frames, pack.validation, data.protocols[i], estimator);
+      if (result.missing > 0) {
+        std::fprintf(stderr, "%s, %s: without %zu frames; the last: %s\n", row.name.c_str(),
+                     pack.use.name.c_str(), result.missing, result.why_missing.text());
+      }
       if (result.frames.empty()) continue;
       scores.push_back({row.table, row.name, steps, seed, pack.use.name, result.mean});
     }

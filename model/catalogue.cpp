@@ -79,6 +79,19 @@ class Table {
   Status error_;
 };
 
+// The keys that a form would ignore.
+std::vector<std::string> idle_keys(Form form) {
+  switch (form) {
+    case Form::kPack:
+      return {"list", "validation-list", "ground-truth"};
+    case Form::kKittiRaw:
+      return {"video"};  // it always is
+    default:             // depth and cameras are the set's own, pictures single
+      return {"list", "validation-list", "ground-truth",  "teacher",
+              "maps", "align",           "field-of-view", "video"};
+  }
+}
+
 Result<CatalogueEntry> read_entry(const std::string& file, const toml::value& value, bool trains) {
   static const std::map<std::string, Form> forms = {{"pack", Form::kPack},
                                                     {"kitti-raw", Form::kKittiRaw},
@@ -108,6 +121,12 @@ Result<CatalogueEntry> read_entry(const std::string& file, const toml::value& va
   table.take("ground-truth", entry.ground_truth);
   LCDM_RETURN_IF_ERROR(table.finish());
   if (entry.path.empty()) return table.fault("the entry has no path");
+  for (const std::string& key : idle_keys(entry.form)) {
+    if (value.contains(key)) {
+      return table.fault("\"" + key + "\" says nothing to this form: leave it out");
+    }
+  }
+  entry.says_align = value.contains("align");
   const Result<Protocol> found = protocol_named(protocol);
   if (!found) return table.fault(found.status().text());
   entry.protocol = *found;
@@ -115,9 +134,6 @@ Result<CatalogueEntry> read_entry(const std::string& file, const toml::value& va
     return table.fault(
         "kitti-raw trains with a validation-list only: no part of one shuffled list is without "
         "neighbours in the other");
-  }
-  if (!entry.validation_list.empty() && entry.form != Form::kKittiRaw) {
-    return table.fault("only form = \"kitti-raw\" has a validation-list");
   }
   use.name = entry.path;
   return entry;

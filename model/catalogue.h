@@ -16,6 +16,7 @@ struct CatalogueEntry {
   enum class Form : std::uint8_t { kPack, kKittiRaw, kNyu, kMake3d } form = Form::kPack;
   std::string path;  // below the catalogue's root
   PackUse use;
+  bool says_align = false;  // otherwise the maps' teacher.json does
   Protocol protocol;
   std::string list;             // KITTI: which frames
   std::string validation_list;  // KITTI: which of them validate; needed to train on it

@@ -17,8 +17,8 @@ bool restore(torch::nn::Module& network, const std::string& prefix,
   collect(network, prefix, mine);
   for (auto& [name, tensor] : mine) {
     const auto found = tensors.find(name);
-    if (found == tensors.end() || found->second.numel() != tensor.numel()) return false;
-    tensor.copy_(found->second.reshape(tensor.sizes()));
+    if (found == tensors.end() || found->second.sizes() != tensor.sizes()) return false;
+    tensor.copy_(found->second);
   }
   return true;
 }

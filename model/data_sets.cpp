@@ -1,5 +1,6 @@
 #include "model/data_sets.h"
 
+#include <algorithm>
 #include <filesystem>
 #include <numeric>
 
@@ -25,6 +26,22 @@ enum class Purpose : std::uint8_t { kTrain, kTest };
 
 // Wider pictures are reduced: never for a test.
 int width_for(Purpose purpose) { return purpose == Purpose::kTrain ? 640 : kFullWidth; }
+
+// What teach wrote beside its maps, {"align": "scale"}; without a file they are metres.
+Result<Alignment> alignment_in(const fs::path& maps) {
+  const fs::path file = maps / "teacher.json";
+  if (!fs::exists(file)) return Alignment::kNone;
+  const Result<std::string> text = dataset::read_bytes(file, kMostTeacherBytes);
+  if (!text) return text.status();
+  const Result<JsonValue> json = parse_json(*text);
+  const JsonValue* align = json && json->items().size() == 1 ? json->find("align") : nullptr;
+  const std::string name(align == nullptr ? "" : align->text().value_or(""));
+  const auto found = alignment_names().find(name);
+  if (found != alignment_names().end()) return found->second;
+  return Status::error(StatusCode::kInvalidInput,
+                       "%s: must be {\"align\": \"none\"}, or \"scale\" or \"affine\"",
+                       file.c_str());
+}
 
 // A set in one order, split as packs are: what validates has no neighbours that train.
 Pack ordered_pack(const CatalogueEntry& entry, std::shared_ptr<const Frames> frames) {
@@ -91,8 +108,20 @@ NyuDepthOptions nyu_options(Purpose purpose) {
   return options;
 }
 
-Result<Pack> open_entry(const CatalogueEntry& entry, const fs::path& root, Purpose purpose,
+// Where the entry leaves it open, what the maps need is what teach wrote beside them.
+Status find_alignment(CatalogueEntry& entry, const fs::path& root) {
+  if (entry.use.teacher != Teacher::kMaps || entry.says_align) return Status::ok();
+  const fs::path maps =
+      entry.form == Form::kPack ? root / entry.path / entry.use.maps : root / entry.use.maps;
+  const Result<Alignment> alignment = alignment_in(maps);
+  if (!alignment) return alignment.status();
+  entry.use.alignment = *alignment;
+  return Status::ok();
+}
+
+Result<Pack> open_entry(CatalogueEntry entry, const fs::path& root, Purpose purpose,
                         std::size_t every) {
+  LCDM_RETURN_IF_ERROR(find_alignment(entry, root));
   if (entry.form == Form::kPack) {
     return load_pack(root, entry.use, width_for(purpose), every);
   }
@@ -123,22 +152,6 @@ std::string maps_in(const fs::path& folder) {
   return {};
 }
 
-// What teach wrote beside its maps, {"align": "scale"}; without a file they are metres.
-Result<Alignment> alignment_in(const fs::path& maps) {
-  const fs::path file = maps / "teacher.json";
-  if (!fs::exists(file)) return Alignment::kNone;
-  const Result<std::string> text = dataset::read_bytes(file, kMostTeacherBytes);
-  if (!text) return text.status();
-  const Result<JsonValue> json = parse_json(*text);
-  const JsonValue* align = json && json->items().size() == 1 ? json->find("align") : nullptr;
-  const std::string name(align == nullptr ? "" : align->text().value_or(""));
-  const auto found = alignment_names().find(name);
-  if (found != alignment_names().end()) return found->second;
-  return Status::error(StatusCode::kInvalidInput,
-                       "%s: must be {\"align\": \"none\"}, or \"scale\" or \"affine\"",
-                       file.c_str());
-}
-
 // A pack of the user's own: trusted, for both shapes alike. Where it has no depth of a sensor it
 // has a teacher's.
 Result<CatalogueEntry> own_entry(const fs::path& folder, bool video) {
@@ -158,9 +171,6 @@ Result<CatalogueEntry> own_entry(const fs::path& folder, bool video) {
                          folder.c_str());
   }
   use.teacher = Teacher::kMaps;
-  const Result<Alignment> alignment = alignment_in(folder / maps);
-  if (!alignment) return alignment.status();
-  use.alignment = *alignment;
   return entry;
 }
 
@@ -274,6 +284,16 @@ Result<Data> load_test_data(const DataOptions& options) {
     add(data, std::move(*pack), entry.protocol);
   }
   return data;
+}
+
+Status require_frames(const Data& data, bool test) {
+  const bool any = std::any_of(data.packs.begin(), data.packs.end(),
+                               [](const Pack& pack) { return !pack.validation.empty(); });
+  if (any) return Status::ok();
+  return Status::error(StatusCode::kUsage, "nothing to evaluate on: %s",
+                       test ? "the catalogue has no [[test]]"
+                            : "no set has a validation part (sequences under 34 frames only "
+                              "train)");
 }
 
 }  // namespace lcdm::model

@@ -34,4 +34,7 @@ Result<Data> load_training_data(const DataOptions& options);
 // The test sets; every frame of theirs is in `validation`, at its full size.
 Result<Data> load_test_data(const DataOptions& options);
 
+// kUsage: no set has a frame to measure on; `test`: they are the test sets.
+Status require_frames(const Data& data, bool test);
+
 }  // namespace lcdm::model

@@ -144,28 +144,21 @@ bool is_asked_for(const Options& options, const Pack& pack) {
 }
 
 // An empty table would say nothing of why.
-Status require_frames(const Options& options, const Data& data) {
-  bool found = false;
-  for (const Pack& pack : data.packs) {
-    if (!is_asked_for(options, pack)) continue;
-    if (!pack.validation.empty()) return Status::ok();
-    found = true;
-  }
-  if (!found && !options.pack.empty()) {
-    return Status::error(StatusCode::kUsage, "--only %s: no set of this name among the %s",
-                         options.pack.c_str(), options.test ? "test sets" : "training packs");
-  }
-  return Status::error(StatusCode::kUsage, "nothing to evaluate on: %s",
-                       options.test ? "the catalogue has no [[test]]"
-                                    : "no set has a validation part (sequences under 34 frames "
-                                      "only train)");
+Status require_set(const Options& options, const Data& data) {
+  const bool found =
+      std::any_of(data.packs.begin(), data.packs.end(),
+                  [&options](const Pack& pack) { return is_asked_for(options, pack); });
+  if (found || options.pack.empty()) return Status::ok();
+  return Status::error(StatusCode::kUsage, "--only %s: no set of this name among the %s",
+                       options.pack.c_str(), options.test ? "test sets" : "training packs");
 }
 
 Status evaluate_all(const Options& options, const std::vector<Candidate>& candidates) {
   const Result<Data> data =
       options.test ? load_test_data(options.data) : load_training_data(options.data);
   if (!data) return data.status();
-  LCDM_RETURN_IF_ERROR(require_frames(options, *data));
+  LCDM_RETURN_IF_ERROR(require_set(options, *data));
+  LCDM_RETURN_IF_ERROR(require_frames(*data, options.test));
   FrameTable table(options.frames);
   LCDM_RETURN_IF_ERROR(table.begin());
   std::printf(

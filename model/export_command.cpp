@@ -33,6 +33,14 @@ Status write_model(const Options& options) {
     networks.push_back(*network);
   }
   ModelConfig& config = networks[0]->config;
+  for (std::size_t i = 1; i < networks.size() && options.licence.empty(); ++i) {
+    if (networks[i]->config.licence == config.licence) continue;
+    return Status::error(StatusCode::kUsage,
+                         "the mean's licence follows from both \"%s\" (%s) and \"%s\" (%s): say "
+                         "with --licence what holds for it",
+                         config.licence.c_str(), options.checkpoints[0].c_str(),
+                         networks[i]->config.licence.c_str(), options.checkpoints[i].c_str());
+  }
   config.name = options.name;
   if (!options.licence.empty()) config.licence = options.licence;
   if (config.licence.empty()) {
@@ -76,8 +84,7 @@ void add_export(CLI::App& app, Status& status) {
   auto options = std::make_shared<Options>();
   auto* checkpoint = command
                          ->add_option("--checkpoint", options->checkpoints,
-                                      "Training checkpoint; of several the mean, with the licence "
-                                      "of the first")
+                                      "Training checkpoint; of several the mean")
                          ->check(CLI::ExistingFile);
   command->add_option("--model", options->model, "Model file, where there is no checkpoint")
       ->check(CLI::ExistingFile)
@@ -90,8 +97,10 @@ void add_export(CLI::App& app, Status& status) {
       ->capture_default_str();
   command->add_option("--name", options->name, "Name in the file");
   command->add_option("--card", options->card, "One paragraph: data, steps, metrics");
-  command->add_option("--licence", options->licence,
-                      "That follows from the data, instead of the catalogue's it was trained on");
+  command->add_option(
+      "--licence", options->licence,
+      "That follows from the data, instead of the catalogue's it was trained on; needed "
+      "where several checkpoints differ in it");
   const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
                                                    {"zeros", StartKind::kZeros}};
   add_choice(*command, "--start", options->start, starts,

@@ -86,7 +86,9 @@ class JoinedFrames final : public Frames {
 
 // A frame's sequence: its name up to the first '_'; empty without one.
 std::string sequence_of(const std::string& name);
-// Whether the frames before and after `index` are of its sequence.
+// Whether the frames before and after `index` are of its sequence, and by the numbers in their
+// names about as far from it: where frames are missing, neighbouring files are not neighbours in
+// time.
 bool amid_a_sequence(const Frames& frames, std::size_t index);
 
 }  // namespace lcdm::model

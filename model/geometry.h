@@ -44,7 +44,7 @@ struct Normals {
 };
 // Equations 2 and 3: of every pixel the plane n . P = 1 fitted by least squares to its window of
 // `size` x `size` pixels, `dilation` apart. Solved in coordinates centred on the window, where fp32
-// is exact to thousandths of a degree; the formula taken literally errs by whole degrees.
+// is exact to hundredths of a degree; the formula taken literally errs by whole degrees.
 Normals surface_normals(const torch::Tensor& depth, const torch::Tensor& mask,
                         const Pinholes& cameras, int size, int dilation);
 

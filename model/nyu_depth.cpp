@@ -73,14 +73,10 @@ class LabelledFrames final : public Frames {
       }
       cv::Mat rgb;
       cv::merge(colours, rgb);
-      const Result<cv::Mat> depth = file_->plane(depths(options_), numbers_[index]);
+      const Result<cv::Mat> depth = file_->plane("rawDepths", numbers_[index]);
       if (!depth) return depth.status();
       return frame_of(name(index), rgb, *depth, options_.max_width, what);
     });
-  }
-
-  static const char* depths(const NyuDepthOptions& options) {
-    return options.painted ? "depths" : "rawDepths";
   }
 
  private:
@@ -119,7 +115,7 @@ Result<std::shared_ptr<const Frames>> open_labelled(const fs::path& root,
   if (!file) return file.status();
   const auto images = (*file)->shape("images");  // height, width, colour, frame
   if (!images) return images.status();
-  const char* variable = LabelledFrames::depths(options);
+  const char* variable = "rawDepths";
   const auto depths = (*file)->shape(variable);  // height, width, frame
   if (!depths) return depths.status();
   const Result<cv::Mat> first = (*file)->plane("images");
@@ -169,11 +165,6 @@ class FolderFrames final : public Frames {
 
 Result<std::shared_ptr<const Frames>> open_folders(const fs::path& folder,
                                                    const NyuDepthOptions& options) {
-  if (options.painted) {
-    return Status::error(StatusCode::kUnsupported,
-                         "%s: the folders hold the sensor's depth only: for painted depth give %s",
-                         folder.c_str(), kLabelled);
-  }
   std::vector<std::string> names;
   for (const std::string& scene : dataset::names_in(folder)) {
     for (const std::string& file : dataset::names_in(folder / scene)) {

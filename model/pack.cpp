@@ -22,7 +22,6 @@ constexpr std::size_t kLeastTraining = 10;
 constexpr float kMapUnit = 1.0F / 256;
 constexpr std::size_t kKeptFrames = 1500;
 constexpr std::size_t kMostJsonBytes = 16U << 20;
-constexpr float kMostPixels = 1e6F;  // of a focal length
 
 // The pictures of a folder; kInvalidInput: two of one name.
 Result<std::vector<fs::path>> pictures_in(const fs::path& folder) {
@@ -115,6 +114,18 @@ float number_in(const JsonValue& source, const char* key, float otherwise) {
   return value == nullptr ? otherwise : static_cast<float>(value->number().value_or(NAN));
 }
 
+// A view from some 1 to 160 degrees wide whose axis is in the picture, or near it as a cut leaves
+// it: not focal lengths in millimetres, nor a camera's of other pictures.
+bool plausible(const CameraModel& camera) {
+  const auto width = static_cast<float>(camera.width);
+  const auto focal = [&](float f) { return f >= width / 10 && f <= width * 50; };
+  const auto axis = [](float at, int side) {
+    return at > 0 && at < 1.5F * static_cast<float>(side);
+  };
+  return focal(camera.fx) && focal(camera.fy) && axis(camera.cx, camera.width) &&
+         axis(camera.cy, camera.height);
+}
+
 // The camera that `source` describes for pictures of the size it names, at `size`.
 Result<CameraModel> described_camera(const fs::path& file, const JsonValue& source, cv::Size size) {
   const float width = number_in(source, "width", static_cast<float>(size.width));
@@ -134,10 +145,12 @@ Result<CameraModel> described_camera(const fs::path& file, const JsonValue& sour
                            number_in(source, "cx", (width - 1) / 2),
                            number_in(source, "cy", (height - 1) / 2),
                            true};
-  for (const float value : {camera.fx, camera.fy, camera.cx, camera.cy}) {
-    if (value > 0 && value < kMostPixels) continue;
+  if (!plausible(camera)) {
     return Status::error(StatusCode::kCorrupt,
-                         "%s: fx, fy, cx and cy must be numbers of pixels above 0", file.c_str());
+                         "%s: fx %g, fy %g, cx %g, cy %g are no camera's of %gx%g pixels: all four "
+                         "are in pixels, fx and fy from a tenth of the width to fifty times it, cx "
+                         "and cy in the picture or near it",
+                         file.c_str(), camera.fx, camera.fy, camera.cx, camera.cy, width, height);
   }
   return camera.resized(size.width, size.height);
 }

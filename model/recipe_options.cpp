@@ -16,7 +16,6 @@ void add_network_options(CLI::App& command, Recipe& recipe) {
   add_choice(command, "--preset", recipe.preset, presets, "lcdm, or the paper's own");
   add_choice(command, "--start", recipe.start, starts,
              "Where the sampler starts (as the weights of --from do, or noise)");
-  command.add_option("--seed", recipe.seed, "Of weights, batches and noise")->capture_default_str();
 }
 
 void add_schedule_options(CLI::App& command, RecipeOptions& options) {
@@ -76,26 +75,38 @@ void add_optimiser_options(CLI::App& command, Recipe& recipe) {
       ->capture_default_str();
 }
 
-void add_loss_options(CLI::App& command, LossWeights& weights) {
-  const auto add = [&command](const char* name, double& weight, const char* what) {
-    command.add_option(name, weight, what)->check(CLI::NonNegativeNumber)->capture_default_str();
-  };
-  add("--distillation", weights.distillation, "Weight of the depth distillation");
-  add("--denoising", weights.denoising, "Weight of the denoising loss");
-  add("--normals", weights.normals, "Weight of the surface-normal distillation");
-  add("--photometric", weights.photometric, "Weight of the photometric loss");
-  add("--smoothness", weights.smoothness, "Weight of the edge-aware smoothness");
-  add("--gradient", weights.gradient, "Weight of the gradient loss");
-  add("--direct", weights.direct, "Weight of the 0-step answer's losses");
+void add_weight(CLI::App& command, const char* name, double& weight, const char* what) {
+  command.add_option(name, weight, what)->check(CLI::NonNegativeNumber)->capture_default_str();
+}
+
+// Those that the ablation's rows do not set.
+void add_our_losses(CLI::App& command, LossWeights& weights) {
+  add_weight(command, "--gradient", weights.gradient, "Weight of the gradient loss");
+  add_weight(command, "--direct", weights.direct, "Weight of the 0-step answer's losses");
+}
+
+void add_paper_losses(CLI::App& command, LossWeights& weights) {
+  add_weight(command, "--distillation", weights.distillation, "Weight of the depth distillation");
+  add_weight(command, "--denoising", weights.denoising, "Weight of the denoising loss");
+  add_weight(command, "--normals", weights.normals, "Weight of the surface-normal distillation");
+  add_weight(command, "--photometric", weights.photometric, "Weight of the photometric loss");
+  add_weight(command, "--smoothness", weights.smoothness, "Weight of the edge-aware smoothness");
 }
 
 }  // namespace
 
-void add_recipe_options(CLI::App& command, RecipeOptions& options) {
+void add_row_options(CLI::App& command, RecipeOptions& options) {
   add_network_options(command, options.recipe);
   add_schedule_options(command, options);
   add_optimiser_options(command, options.recipe);
-  add_loss_options(command, options.recipe.losses);
+  add_our_losses(command, options.recipe.losses);
+}
+
+void add_recipe_options(CLI::App& command, RecipeOptions& options) {
+  add_row_options(command, options);
+  command.add_option("--seed", options.recipe.seed, "Of weights, batches and noise")
+      ->capture_default_str();
+  add_paper_losses(command, options.recipe.losses);
 }
 
 Result<Recipe> recipe_of(const RecipeOptions& options) {

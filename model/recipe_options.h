@@ -15,6 +15,8 @@ struct RecipeOptions {
   std::vector<std::string> stages;
 };
 void add_recipe_options(CLI::App& command, RecipeOptions& options);
+// Without the seed and the paper's losses, which each row of an ablation has of its own.
+void add_row_options(CLI::App& command, RecipeOptions& options);
 
 // kUsage: a stage that is none, or stages out of order.
 Result<Recipe> recipe_of(const RecipeOptions& options);

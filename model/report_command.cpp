@@ -244,6 +244,7 @@ Status run(const Options& options) {
   const Result<Data> data =
       options.test ? load_test_data(options.data) : load_training_data(options.data);
   if (!data) return data.status();
+  LCDM_RETURN_IF_ERROR(require_frames(*data, options.test));
   HtmlPage page("Depth networks compared");
   LCDM_RETURN_IF_ERROR(add_costs(page, options));
   page.heading(options.test ? "Accuracy on the test sets" : "Accuracy on the validation parts");

@@ -119,16 +119,18 @@ void add_teach(CLI::App& app, Status& status) {
       ->check(CLI::ExistingFile);
   teacher->add_option("--checkpoint", options->checkpoint, "A training checkpoint")
       ->check(CLI::ExistingFile);
-  teacher->add_option("--torchscript", options->torchscript.file, "A TorchScript module")
-      ->check(CLI::ExistingFile);
+  auto* module =
+      teacher->add_option("--torchscript", options->torchscript.file, "A TorchScript module")
+          ->check(CLI::ExistingFile);
   teacher->require_option(1);
   command->add_option("--size", options->size, "Width and height the module is fed")
       ->expected(2)
+      ->needs(module)
       ->check(CLI::Range(32, 4096))
       ->capture_default_str();
-  add_choice(
-      *command, "--pixels", options->torchscript.pixels, pixel_scale_names(),
-      "How the module's pictures are scaled: unit ([0, 1]) or imagenet (mean and deviation)");
+  add_choice(*command, "--pixels", options->torchscript.pixels, pixel_scale_names(),
+             "How the module's pictures are scaled: unit ([0, 1]) or imagenet (mean and deviation)")
+      ->needs(module);
   const std::map<std::string, TorchscriptOptions::Gives> gives = {
       {"depth", TorchscriptOptions::Gives::kDepth},
       {"inverse", TorchscriptOptions::Gives::kInverse},
@@ -136,7 +138,8 @@ void add_teach(CLI::App& app, Status& status) {
   add_choice(*command, "--gives", options->torchscript.gives, gives,
              "What the module gives: depth (metres), inverse (depth of unknown scale; its maps' "
              "median becomes 10 m, align = \"scale\"), affine (inverse depth of unknown scale and "
-             "shift, align = \"affine\"); the maps' teacher.json says it to train --pack");
+             "shift, align = \"affine\"); the maps' teacher.json says it to train")
+      ->needs(module);
   command->callback([options, &status] { status = run(*options); });
 }
 

@@ -130,6 +130,10 @@ class Run {
       std::fprintf(stderr, "step %lld: no score, a set could not be measured: %s\n",
                    static_cast<long long>(trainer_.step()), validation.fault.text());
     }
+    if (validation.missing > 0) {
+      std::fprintf(stderr, "step %lld: validated without %zu frames that cannot be read\n",
+                   static_cast<long long>(trainer_.step()), validation.missing);
+    }
     const bool better = trainer_.update_best(validation.score);
     log.add(trainer_, validation, better);
     return better ? trainer_.save(best_in(folder_).string()) : Status::ok();
@@ -170,6 +174,20 @@ Status require_validation(const Options& options, const Data& data) {
                        "train; leave it out, or give more data");
 }
 
+Status resume(Trainer& trainer, const std::string& checkpoint, bool leads) {
+  const Result<std::string> changed = trainer.resume(checkpoint);
+  if (!changed) return changed.status();
+  if (!leads) return Status::ok();
+  if (!changed->empty()) {
+    std::fprintf(stderr, "goes on otherwise than it began:\n%s", changed->c_str());
+  }
+  if (trainer.done()) {
+    std::fprintf(stderr, "nothing left to do: %s is at step %lld; give more --steps\n",
+                 checkpoint.c_str(), static_cast<long long>(trainer.step()));
+  }
+  return Status::ok();
+}
+
 Status run(const Options& options) {
   LCDM_RETURN_IF_ERROR(require_unused(options));
   const Result<Recipe> recipe = recipe_of(options.recipe);
@@ -192,7 +210,7 @@ Status run(const Options& options) {
   const bool leads = compute->processes->rank() == 0;
   Run training(options, *recipe, *data, **trainer, leads);
   if (options.resume) {
-    LCDM_RETURN_IF_ERROR((*trainer)->resume(training.last()));
+    LCDM_RETURN_IF_ERROR(resume(**trainer, training.last(), leads));
   } else {
     LCDM_RETURN_IF_ERROR(start_from_trained(options, **trainer));
   }

@@ -10,6 +10,7 @@
 #include "model/direct_fit.h"
 #include "model/safetensors.h"
 #include "model/training_samples.h"
+#include "model/training_text.h"
 #include "model/widener.h"
 #include "model/worker_thread.h"
 
@@ -90,9 +91,10 @@ Result<std::unique_ptr<Trainer>> Trainer::make(const Recipe& recipe, const std::
   LCDM_RETURN_IF_ERROR(recipe.losses.photometric > 0 ? check_neighbours(packs)
                                                      : check_no_learned_cameras(packs));
   ModelConfig config = model_config_of(recipe);
-  if (recipe.preset == PresetKind::kLcdm) {
-    LCDM_RETURN_IF_ERROR(measure_variable(config, recipe, packs));
-  }
+  const auto samples = make_samples(recipe, recipe.stages.front(), packs);
+  if (!samples) return samples.status();
+  LCDM_RETURN_IF_ERROR(check_teachers(recipe, *samples));
+  if (recipe.preset == PresetKind::kLcdm) measure_variable(config, *samples);
   return std::unique_ptr<Trainer>(new Trainer(recipe, packs, compute, config));
 }
 
@@ -263,6 +265,7 @@ Status Trainer::set_licence(const std::string& licence) {
 }
 
 bool Trainer::update_best(double score) {
+  if (!std::isfinite(score)) return false;  // not even of a new phase's first: nothing was measured
   if (newest_phase() == best_phase_ && !(static_cast<float>(score) < best_)) return false;
   best_ = static_cast<float>(score);
   best_phase_ = newest_phase();
@@ -392,10 +395,11 @@ Status Trainer::save(const std::string& path) const {
   const Result<std::string> config = config_json(this->config());
   if (!config) return config.status();
   file.metadata["lcdm"] = *config;
+  file.metadata["training"] = on_one_line(training_text(recipe_, packs_));
   return write_tensors(path, file);
 }
 
-Status Trainer::resume(const std::string& path) {
+Result<std::string> Trainer::resume(const std::string& path) {
   const Result<TensorFile> file = read_tensors(path);
   if (!file) return file.status();
   const auto& tensors = file->tensors;
@@ -428,7 +432,9 @@ Status Trainer::resume(const std::string& path) {
   const auto divergence = tensors.find("trainer.divergence");
   if (divergence != tensors.end()) divergence_.restore(divergence->second);
   loader_.reset();
-  return Status::ok();
+  const auto training = file->metadata.find("training");
+  if (training == file->metadata.end()) return std::string();  // an older program's
+  return changed_lines(in_lines(training->second), training_text(recipe_, packs_));
 }
 
 }  // namespace lcdm::model

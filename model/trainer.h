@@ -91,8 +91,10 @@ class Trainer {
   Status set_licence(const std::string& licence);
 
   Status save(const std::string& path) const;
-  // kInvalidInput: the checkpoint is of another network. The recipe's steps may differ.
-  Status resume(const std::string& path);
+  // kInvalidInput: the checkpoint is of another network. What else differs between its training and
+  // this one (steps, rates, losses, data) holds from here on and is returned, in lines; empty:
+  // nothing.
+  Result<std::string> resume(const std::string& path);
 
  private:
   Trainer(const Recipe& recipe, const std::vector<Pack>& packs, const Compute& compute,

@@ -28,8 +28,9 @@ std::string rows_until(const std::filesystem::path& path, std::int64_t last) {
 std::FILE* open_to_append(const std::filesystem::path& path, std::int64_t last,
                           const std::string& header) {
   const std::string kept = rows_until(path, last);
-  const std::string rows = kept.empty() ? header + "\n" : kept;
-  return replace_file(path.string(), rows) ? std::fopen(path.c_str(), "a") : nullptr;
+  const Status replaced = replace_file(path.string(), kept.empty() ? header + "\n" : kept);
+  if (!replaced) std::fprintf(stderr, "trains on without its log: %s\n", replaced.text());
+  return replaced ? std::fopen(path.c_str(), "a") : nullptr;
 }
 
 }  // namespace

@@ -56,19 +56,28 @@ Result<std::vector<Batch>> make_samples(const Recipe& recipe, Stage stage,
   return batches;
 }
 
-Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs) {
-  const auto batches = make_samples(recipe, recipe.stages.front(), packs);
-  if (!batches) return batches.status();
+void measure_variable(ModelConfig& config, const std::vector<Batch>& samples) {
   std::vector<torch::Tensor> logits;
-  for (const Batch& batch : *batches) {
+  for (const Batch& batch : samples) {
     const torch::Tensor& depth = batch.target.depth;
     logits.push_back(variable_of_depth(depth.masked_select(depth > 0), ModelConfig{}));
   }
   const torch::Tensor all = torch::cat(logits);
-  if (all.numel() < 2) return Status::ok();  // no depth to learn from: photometric loss alone
+  if (all.numel() < 2) return;  // photometric loss alone
   config.variable_mean = std::round(all.mean().item<double>() * 1e4) / 1e4;
   config.variable_std = std::round(all.std().item<double>() * 1e4) / 1e4;
-  return Status::ok();
+}
+
+Status check_teachers(const Recipe& recipe, const std::vector<Batch>& samples) {
+  const bool taught = std::any_of(samples.begin(), samples.end(), [](const Batch& batch) {
+    return (batch.target.depth > 0).any().item<bool>();
+  });
+  if (taught || recipe.losses.photometric > 0) return Status::ok();
+  return Status::error(StatusCode::kInvalidInput,
+                       "nothing to learn from: no picture of %zu batches drawn has any depth, and "
+                       "the photometric loss has no weight: give depth or a teacher's maps, or to "
+                       "a video --photometric 1",
+                       samples.size());
 }
 
 Status check_shares(const std::vector<Pack>& packs) {

@@ -19,14 +19,16 @@ std::vector<BatchShape> make_shapes(const Recipe& recipe, const Stage& stage, in
 Result<std::vector<Batch>> make_samples(const Recipe& recipe, Stage stage,
                                         const std::vector<Pack>& packs);
 
-// Mean and deviation of the teacher's logit (`lcdm` only). Errors as make_batch.
-Status measure_variable(ModelConfig& config, const Recipe& recipe, const std::vector<Pack>& packs);
+// Mean and deviation of the teacher's logit (`lcdm` only); left alone where no sample has depth.
+void measure_variable(ModelConfig& config, const std::vector<Batch>& samples);
 
 // Whether any pictures are drawn for batches of the wide or of the 4:3 shape.
 bool is_drawn(const std::vector<Pack>& packs, bool wide);
 
 // kInvalidInput: nothing is ever drawn of any pack.
 Status check_shares(const std::vector<Pack>& packs);
+// kInvalidInput: no sample has depth, and no loss does without.
+Status check_teachers(const Recipe& recipe, const std::vector<Batch>& samples);
 // kInvalidInput: of nothing that is drawn a frame's neighbours in time can be had.
 Status check_neighbours(const std::vector<Pack>& packs);
 // kInvalidInput: a set is to learn its focal lengths, which without the photometric loss none does.

@@ -28,12 +28,14 @@ Validation validate(DepthNetwork& network, int steps, double share, const Data& 
   std::map<Teacher, std::vector<double>> ratios;
   for (std::size_t i = 0; i < data.packs.size(); ++i) {
     const Pack& pack = data.packs[i];
+    if (pack.use.teacher == Teacher::kNone) continue;  // nothing to measure by
     const auto some = evenly(pack.validation, frames);
     const SetResult network_result = evaluate(*pack.frames, some, data.protocols[i], estimator);
     if (network_result.frames.empty()) {
       if (network_result.missing > 0) out.fault = network_result.why_missing;
       continue;
     }
+    out.missing += network_result.missing;
     const SetResult constant =
         evaluate(*pack.frames, some, data.protocols[i], constant_estimator());
     const double ratio = network_result.mean.abs_rel / std::max(1e-9, constant.mean.abs_rel);

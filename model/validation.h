@@ -18,6 +18,7 @@ struct Validation {
     Metrics constant;  // of a constant depth on the same frames
   };
   std::vector<Set> sets;
+  std::size_t missing = 0;  // frames of these that could not be read, so have no part in a score
   // Mean over the sets of AbsRel as a share of a constant depth's: lower is better, 1 knows
   // nothing. Over the sets with a sensor's depth where there are some, or else the rendered ones:
   // renderings are not the world, and maps only say how alike the teacher is.

@@ -78,7 +78,7 @@ def main():
     for number, name in enumerate(names):
         picture = photograph(given.checkouts / name, name.startswith(SQUEEZED))
         file = folder / "rgb" / f"{number:06d}.jpg"
-        cv2.imwrite(str(file), picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        packs.write(file, picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     focal, cx, cy = FOCAL * WIDTH, (WIDTH - 1) / 2, (HEIGHT - 1) / 2
     camera = packs.camera(WIDTH, HEIGHT, focal, focal, cx, cy)
     (folder / "intrinsics.json").write_text(json.dumps(camera, indent=1))

@@ -127,7 +127,7 @@ def improve(pack, networks):
         meter = meter_depth(pack / "teacher_meter" / f"{path.stem}.png")
         depth = mean_of(meter, [network(colour) for network in networks])
         steps = numpy.clip(numpy.round(depth / UNIT), 1, 65535).astype(numpy.uint16)
-        cv2.imwrite(str(maps / f"{path.stem}.png"), steps)
+        packs.write(maps / f"{path.stem}.png", steps)
     print(f"{maps}: {len(list(maps.iterdir()))} maps")
 
 

@@ -48,15 +48,6 @@ MAKE3D_FARTHEST = 79
 MAKE3D_BAD = "op57-p-283t000"  # its left columns are not of the scene
 
 
-def scaled(colour, depth, of):
-    """All at WIDTH pixels; depth by its nearest pixel."""
-    if colour.shape[1] <= WIDTH:
-        return colour, of, depth
-    colour, small = packs.narrowed(colour, of, WIDTH)
-    depth = cv2.resize(depth, (small["width"], small["height"]), interpolation=cv2.INTER_NEAREST)
-    return colour, small, depth
-
-
 def pfm(path):
     data = path.read_bytes()
     kind, size, scale, body = data.split(b"\n", 3)
@@ -78,33 +69,6 @@ def tartanair_hospital(folder):
             yield path.stem, packs.read(path), TARTANAIR, numpy.where(depth > FARTHEST, 0, depth)
 
 
-def lzf(packed, size):
-    plain, at, to = bytearray(size), 0, 0
-    end = len(packed)
-    while at < end:
-        control = packed[at]
-        at += 1
-        if control < 32:
-            control += 1
-            plain[to : to + control] = packed[at : at + control]
-            at += control
-            to += control
-            continue
-        length = (control >> 5) + 2
-        if length == 9:
-            length += packed[at]
-            at += 1
-        back = ((control & 31) << 8) + packed[at] + 1
-        at += 1
-        if back >= length:
-            plain[to : to + length] = plain[to - back : to - back + length]
-        else:
-            part = bytes(plain[to - back : to])
-            plain[to : to + length] = (part * (length // back + 1))[:length]
-        to += length
-    return plain
-
-
 def organised(path):
     """Picture, x, y, z of a packed PCD of label, x, y, z, rgba."""
     data = path.read_bytes()
@@ -114,7 +78,7 @@ def organised(path):
         raise SystemExit(f"{path}: not a cloud of label, x, y, z and rgba")
     width, height = int(fields[b"WIDTH"]), int(fields[b"HEIGHT"])
     packed, size = map(int, numpy.frombuffer(body, numpy.uint32, 2))
-    plain = numpy.frombuffer(bytes(lzf(body[8 : 8 + packed], size)), numpy.uint8)
+    plain = numpy.frombuffer(bytes(packs.lzf(body[8 : 8 + packed], size)), numpy.uint8)
     plain = plain.reshape(5, height, width, 4)
     x, y, z = (plain[of].copy().view(numpy.float32)[..., 0].astype(float) for of in (1, 2, 3))
     return plain[4][..., :3].copy(), x, y, z
@@ -148,7 +112,7 @@ def stereo_singles(eth3d, argoverse, skimage):
         height, width = disparity.shape
         of = packs.camera(width, height, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
         depth = of_disparity(disparity, matrix[0, 0], baseline, shift)
-        colour, of, depth = scaled(colour, depth, of)
+        colour, of, depth = packs.fitted(colour, of, depth, WIDTH)
         yield f"eth3d_{name}", colour, of, depth
     data = argoverse / "tests/test_data/stereo"
     place = data / "rectified_stereo_images_v1.1/test/1"
@@ -176,7 +140,7 @@ def stereo_singles(eth3d, argoverse, skimage):
     height, width = disparity.shape
     of = packs.camera(width, height, 994.978, 994.978, 311.193, 254.877)
     depth = of_disparity(disparity, 994.978, 0.193001, 31.086)
-    colour, of, depth = scaled(colour, depth, of)
+    colour, of, depth = packs.fitted(colour, of, depth, WIDTH)
     yield "motorcycle", colour, of, depth
 
 
@@ -195,7 +159,7 @@ def cityscapes_demos(folder):
         height, width = depth.shape
         of = packs.camera(width, height, lens["fx"], lens["fy"], lens["u0"], lens["v0"])
         of["height"] = CITY_BOTTOM
-        colour, of, depth = scaled(colour[:CITY_BOTTOM], depth[:CITY_BOTTOM], of)
+        colour, of, depth = packs.fitted(colour[:CITY_BOTTOM], of, depth[:CITY_BOTTOM], WIDTH)
         yield name, colour, of, depth
 
 

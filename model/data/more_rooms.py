@@ -148,16 +148,6 @@ def lingbot_rooms(folder):
         yield f"room_{number}", packs.read(next(place.glob("rgb.*"))), of, depth * UNIT
 
 
-def fitted(colour, of, depth):
-    """At most WIDTH wide, depth the same size."""
-    if of["width"] > WIDTH:
-        colour, of = packs.narrowed(colour, of, WIDTH)
-    size = (of["width"], of["height"])
-    if depth.shape[::-1] != size:
-        depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
-    return colour, of, depth
-
-
 def of_sun(steps):
     """SUN RGB-D keeps millimetres turned left by three bits."""
     return (steps >> 3) | (steps << 13)
@@ -198,10 +188,7 @@ def rgbd_singles(open3d, clouds, prior, arkit, azure, bundle, robot, lines):
         picture, steps = in_bgr(folder / colour), steps_of(folder / depth)
         metres = (of_sun(steps) if folder == sun else steps) * unit
         metres = numpy.where(metres > FARTHEST, 0, metres)
-        if of["width"] > WIDTH:
-            picture, of = packs.narrowed(picture, of, WIDTH)
-        size = (of["width"], of["height"])
-        yield name, picture, of, cv2.resize(metres, size, interpolation=cv2.INTER_NEAREST)
+        yield name, *packs.fitted(picture, of, metres, WIDTH)
 
 
 PACKS = {

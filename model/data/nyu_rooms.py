@@ -22,6 +22,8 @@ import re
 import cv2
 import numpy
 
+import packs
+
 STEPS_PER_METRE = 25.5
 CLIPPED = 254  # from 10 m on
 TOP, BOTTOM, LEFT, RIGHT = 45, 471, 41, 601  # without the white border
@@ -72,8 +74,8 @@ def convert(frames, number, folder, name):
     steps = read(frames / "nyu_depths" / f"{number - 1}.png", cv2.IMREAD_GRAYSCALE)
     wide = steps[TOP - MARGIN : BOTTOM + MARGIN, LEFT - MARGIN : RIGHT + MARGIN]
     depth = millimetres(numpy.ascontiguousarray(wide))[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    cv2.imwrite(str(folder / "rgb" / f"{name}.jpg"), colour[TOP:BOTTOM, LEFT:RIGHT], [cv2.IMWRITE_JPEG_QUALITY, 92])
-    cv2.imwrite(str(folder / "depth" / f"{name}.png"), depth)
+    packs.write(folder / "rgb" / f"{name}.jpg", colour[TOP:BOTTOM, LEFT:RIGHT], [cv2.IMWRITE_JPEG_QUALITY, 92])
+    packs.write(folder / "depth" / f"{name}.png", depth)
 
 
 def main():

@@ -32,6 +32,11 @@ def read(path, flags=cv2.IMREAD_COLOR):
     return image
 
 
+def write(path, image, *options):
+    if not cv2.imwrite(str(path), image, *options):
+        raise SystemExit(f"{path}: cannot be written: is there room on the disk?")
+
+
 def camera(width, height, fx, fy, cx, cy):
     return {"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
 
@@ -44,6 +49,14 @@ def narrowed(colour, of, width):
         width, height, of["fx"] * across, of["fy"] * down, of["cx"] * across, of["cy"] * down
     )
     return cv2.resize(colour, (width, height), interpolation=cv2.INTER_AREA), small
+
+
+def fitted(colour, of, depth, width):
+    """At most `width` pixels wide, depth by its nearest pixel at the picture's size."""
+    if of["width"] > width:
+        colour, of = narrowed(colour, of, width)
+    size = (of["width"], of["height"])
+    return colour, of, cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
 
 
 def nearest(points, of, spread=0.0):
@@ -66,6 +79,34 @@ def nearest(points, of, spread=0.0):
     return depth
 
 
+def lzf(packed, size):
+    """The `size` bytes that LZF packed: runs of bytes, and copies of what came before."""
+    plain, at, to = bytearray(size), 0, 0
+    end = len(packed)
+    while at < end:
+        control = packed[at]
+        at += 1
+        if control < 32:
+            control += 1
+            plain[to : to + control] = packed[at : at + control]
+            at += control
+            to += control
+            continue
+        length = (control >> 5) + 2
+        if length == 9:
+            length += packed[at]
+            at += 1
+        back = ((control & 31) << 8) + packed[at] + 1
+        at += 1
+        if back >= length:
+            plain[to : to + length] = plain[to - back : to - back + length]
+        else:
+            part = bytes(plain[to - back : to])
+            plain[to : to + length] = (part * (length // back + 1))[:length]
+        to += length
+    return plain
+
+
 def save_pack(folder, frames, unit, quality):
     """A pack of frames: name, picture, its camera, depth (None: the pack has none).
 
@@ -74,12 +115,11 @@ def save_pack(folder, frames, unit, quality):
     (folder / "rgb").mkdir(parents=True, exist_ok=True)
     cameras = {}
     for name, colour, of, depth in frames:
-        file = str(folder / "rgb" / f"{name}.jpg")
-        cv2.imwrite(file, colour, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        write(folder / "rgb" / f"{name}.jpg", colour, [cv2.IMWRITE_JPEG_QUALITY, quality])
         if depth is not None:
             (folder / "depth").mkdir(exist_ok=True)
             steps = numpy.clip(numpy.round(depth / unit), 0, 65535).astype(numpy.uint16)
-            cv2.imwrite(str(folder / "depth" / f"{name}.png"), steps)
+            write(folder / "depth" / f"{name}.png", steps)
         cameras[name] = of
     first = next(iter(cameras.values()))
     intrinsics = dict(first, depth_unit_m=unit)

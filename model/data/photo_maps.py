@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Maps for photographs of rooms without depth: METER's large shapes, a network of ours' outlines.
 
-    lcdm-train teach --model lcdm-xs.safetensors --size 256 192 --pack PACK \
+    lcdm-train teach --model lcdm-xs.safetensors --pack PACK \
         --output PACK/teacher_own
     python3 model/data/photo_maps.py PACK
 
@@ -48,7 +48,7 @@ def teach(pack):
         own, middle = log_depth(path)
         meter, _ = log_depth(pack / "teacher_meter" / path.name)
         steps = numpy.round(numpy.exp(mixed(own, meter) + middle) / UNIT)
-        cv2.imwrite(str(maps / path.name), numpy.clip(steps, 1, 65535).astype(numpy.uint16))
+        packs.write(maps / path.name, numpy.clip(steps, 1, 65535).astype(numpy.uint16))
     print(f"{maps}: {len(list(maps.iterdir()))} maps")
 
 

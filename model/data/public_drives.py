@@ -213,27 +213,6 @@ def driving_nuscenes(folder):
         yield name, colour, camera, packs.nearest(points, camera)
 
 
-def lzf(packed):
-    """What LZF packed: runs of bytes, and copies of what came before."""
-    plain, at = bytearray(), 0
-    while at < len(packed):
-        control = packed[at]
-        at += 1
-        if control < 32:
-            plain += packed[at : at + control + 1]
-            at += control + 1
-            continue
-        length = (control >> 5) + 2
-        if length == 9:
-            length += packed[at]
-            at += 1
-        start = len(plain) - (control % 32 << 8) - packed[at] - 1
-        at += 1
-        for index in range(start, start + length):  # may overlap what it writes
-            plain.append(plain[index])
-    return plain
-
-
 def pcd_points(path):
     """x, y, z of a PCD file, as text or packed, then field by field."""
     data = path.read_bytes()
@@ -242,8 +221,8 @@ def pcd_points(path):
     if kind == b"ascii":
         return numpy.array([line.split()[:3] for line in body.splitlines()], dtype=float)
     count = int(head.rsplit(b"POINTS ", 1)[1])
-    packed, _ = numpy.frombuffer(body, numpy.uint32, 2)
-    plain = lzf(body[8 : 8 + int(packed)])
+    packed, size = map(int, numpy.frombuffer(body, numpy.uint32, 2))
+    plain = packs.lzf(body[8 : 8 + packed], size)
     return numpy.frombuffer(plain, numpy.float32, 3 * count).reshape(3, count).T.astype(float)
 
 

@@ -70,7 +70,14 @@ TEST_F(CatalogueTest, FaultsNameLineAndCure) {
   expect_fault("[[train]]\npath = \"a\"\nteacher = \"guess\"", "one of maps, none, sensor");
   expect_fault("[[train]]\npath = \"a\"\nprotocol = \"x\"", "is no protocol");
   expect_fault("[[train]]\ntrust = 1", "has no path");
-  expect_fault("[[train]]\npath = \"a\"\nvalidation-list = \"b\"", "only form = \"kitti-raw\"");
+  expect_fault("[[train]]\npath = \"a\"\nvalidation-list = \"b\"",
+               "\"validation-list\" says nothing");
+  expect_fault("[[test]]\nform = \"nyu\"\npath = \"a\"\nteacher = \"none\"",
+               "\"teacher\" says nothing");
+  expect_fault("[[test]]\nform = \"make3d\"\npath = \"a\"\nalign = \"scale\"",
+               "\"align\" says nothing");
+  expect_fault("[[test]]\nform = \"kitti-raw\"\npath = \"a\"\nvideo = false",
+               "\"video\" says nothing");
   expect_fault("[[train]]\npath = \"a\"", ":1: no wide-share or tall-share");
   expect_fault("[medley]\nframes = -1", "frames must be a number, 0 or more");
   expect_fault("[medley]\nframes = 1e8", "more would show the worlds that validate");
@@ -199,6 +206,22 @@ TEST_F(OwnPack, AlignsItsTeacherAsThatSays) {
   }
   write_depth(root_ / "depth" / "000000.png", no_depth(48, 64));
   EXPECT_TRUE(load()) << "its own depth is what it learns from";
+}
+
+// A catalogue need not repeat it, and may know better.
+TEST_F(OwnPack, OfACatalogueAlignsItsTeacherAlike) {
+  write_maps("teacher");
+  write(root_ / "teacher" / "teacher.json", R"({"align": "affine"})");
+  const auto alignment_with = [&](const std::string& line) {
+    DataOptions options;
+    options.catalogue = (root_ / "catalogue.toml").string();
+    write(options.catalogue, "root = \"" + root_.parent_path().string() +
+                                 "\"\n[[train]]\npath = \"" + root_.filename().string() +
+                                 "\"\ntall-share = 1\nteacher = \"maps\"\n" + line);
+    return load_training_data(options)->packs.at(0).use.alignment;
+  };
+  EXPECT_EQ(alignment_with(""), Alignment::kAffine);
+  EXPECT_EQ(alignment_with("align = \"none\"\n"), Alignment::kNone);
 }
 
 TEST_F(OwnPack, WithoutAnyDepthIsToldWhatMakesSome) {

@@ -151,6 +151,21 @@ TEST(Validate, ScoresOnTheDepthThatIsBelievedMost) {
   }
 }
 
+// Pictures for the photometric loss alone: nothing to measure by, and no fault.
+TEST(Validate, LeavesOutWhatHasNoDepth) {
+  ModelConfig config;
+  config.encoder = EncoderKind::kXxs;
+  DepthNetwork network(config);
+  network->eval();
+  Data data;
+  data.packs = {pack_of(Teacher::kSensor), pack_of(Teacher::kNone)};
+  data.protocols.resize(2);
+  const Validation validation = validate(network, 0, 0.25, data, 8);
+  EXPECT_EQ(validation.sets.size(), 1U);
+  EXPECT_TRUE(validation.fault);
+  EXPECT_TRUE(std::isfinite(validation.score));
+}
+
 // Not 0, than which no later score could be better.
 TEST(Validate, WithoutAFrameHasNoScore) {
   DepthNetwork network{ModelConfig{}};

@@ -70,16 +70,15 @@ TEST_F(NyuDepth, TheCameraIsThatOfTheAuthorsToolbox) {
   EXPECT_TRUE(camera.calibrated);
 }
 
-TEST_F(NyuDepth, TheTrainingSplitAndPaintedDepthAreThereToo) {
+TEST_F(NyuDepth, TheTrainingSplitIsThereToo) {
   NyuDepthOptions options;
   options.split = NyuDepthOptions::Split::kTrain;
-  options.painted = true;
   const FramesResult frames = open_nyu_depth((kFixtures / "nyu").string(), options);
   ASSERT_TRUE(frames) << frames.status().text();
   ASSERT_EQ((*frames)->size(), 1U);
   const Result<PackFrame> frame = (*frames)->read(0);
   ASSERT_TRUE(frame) << frame.status().text();
-  EXPECT_FLOAT_EQ(frame->depth.at<float>(2, 3), fixture_depth(3, 2, 1) + 0.5F);
+  EXPECT_FLOAT_EQ(frame->depth.at<float>(1, 1), fixture_depth(1, 1, 1));
 }
 
 TEST_F(NyuDepth, ReducedFramesKeepTheirHoles) {
@@ -173,9 +172,6 @@ TEST_F(NyuDepth, BrokenFoldersAreNamed) {
   fs::create_directories(root_ / "official_splits" / "test" / "study");
   EXPECT_EQ(open_nyu_depth(root_.string()).code(), StatusCode::kNotFound);
   write_folders();
-  NyuDepthOptions options;
-  options.painted = true;
-  EXPECT_EQ(open_nyu_depth(root_.string(), options).code(), StatusCode::kUnsupported);
   const FramesResult frames = open_nyu_depth(root_.string());
   ASSERT_TRUE(frames) << frames.status().text();
   const fs::path scene = root_ / "official_splits" / "test" / "home_office";

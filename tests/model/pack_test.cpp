@@ -185,12 +185,33 @@ TEST_F(SmallPack, TakesSquarePixelsAndTheCentreWhereOnlyFxIsKnown) {
 TEST_F(SmallPack, RefusesIntrinsicsThatCannotBe) {
   for (const char* text : {R"({"width": 64, "height": 64, "fx": 100})", R"({"fx": -100})",
                            R"({"fx": 0})", R"({"fx": "100"})", R"({"fx": 100, "fy": -1})",
-                           R"({"fx": 100, "cx": null})", R"({"width": 0, "fx": 100})"}) {
+                           R"({"fx": 100, "cx": null})", R"({"width": 0, "fx": 100})",
+                           R"({"fx": 4.2})", R"({"fx": 1e5})", R"({"fx": 100, "cx": 900})"}) {
     write_intrinsics(text);
     const Result<Pack> pack = load_pack(root_, use_, 640);
     ASSERT_EQ(pack.code(), StatusCode::kCorrupt) << text;
     EXPECT_NE(std::string(pack.status().text()).find("intrinsics.json"), std::string::npos);
   }
+}
+
+// Files that lie side by side may have lost what was between them; names alone do not tell.
+TEST(Neighbours, AreOfTheSameSequenceAndAboutAsFarApart) {
+  const auto neighbours = [](const std::vector<std::string>& names) {
+    std::vector<PackFrame> frames;
+    for (const std::string& name : names) frames.push_back({name, {}, {}, {}});
+    const MemoryFrames all(std::move(frames), true);
+    std::vector<std::size_t> found;
+    for (std::size_t i = 0; i < all.size(); ++i) {
+      if (all.has_neighbours(i)) found.push_back(i);
+    }
+    return found;
+  };
+  using Indices = std::vector<std::size_t>;
+  EXPECT_EQ(neighbours({"000", "001", "002", "900", "901", "902"}), (Indices{1, 4}));
+  EXPECT_EQ(neighbours({"a_1", "a_2", "b_3", "b_4", "b_6"}), (Indices{3}));
+  EXPECT_EQ(neighbours({"1305031102.10", "1305031102.14", "1305031102.17"}), (Indices{1}));
+  EXPECT_EQ(neighbours({"left", "middle", "right"}), (Indices{1}));
+  EXPECT_EQ(neighbours({"7", "7.", "7.0"}), (Indices{1})) << "no time between them is no gap";
 }
 
 // Depth would have no scale, and nobody told.

@@ -56,6 +56,10 @@ TEST_F(TrainCli, RefusesACommandLineThatAsksForWhatCannotBe) {
   expect_refusal({"evaluate"}, 2, "nothing to evaluate");
   expect_refusal({"export"}, 2, "nothing to export");
   expect_refusal({"train", "--stage", "1:2"}, 2, "SHARE:IMAGES:UNTIL");
+  expect_refusal({"ablate", "--seed", "3"}, 2, "--seed");
+  expect_refusal(
+      {"teach", "--pack", folder_.path(), "--checkpoint", "/dev/null", "--gives", "depth"}, 2,
+      "--torchscript");
 }
 
 // A new training would destroy it.
@@ -77,6 +81,8 @@ TEST_F(TrainCli, RefusesToMeasureOnNothing) {
   const std::string estimates = folder_.path();
   expect_refusal({"evaluate", "--data", catalogue, "--estimates", estimates}, 2,
                  "nothing to evaluate on");
+  expect_refusal({"report", "--data", catalogue, "--model", "model/weights/lcdm-xxs.safetensors"},
+                 2, "nothing to evaluate on");
   expect_refusal(
       {"train", "--data", catalogue, "--validate-every", "5", "--output", folder_.file("training")},
       2, "nothing to validate on");

@@ -25,7 +25,7 @@ void expect_exact_resume(double freeze_from, OptimizerKind optimizer) {
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(straight->advance());
 
   const auto resumed = trainer_of(recipe);
-  const Status status = resumed->resume(path);
+  const Status status = resumed->resume(path).status();
   ASSERT_TRUE(status) << status.text();
   EXPECT_EQ(resumed->step(), 3);
   EXPECT_FALSE(resumed->update_best(0.6)) << "the best score is part of the checkpoint";
@@ -144,6 +144,7 @@ TEST(Trainer, ScoresWhatItTrained) {
   const auto trainer = trainer_of(recipe);
   const auto advance = [&] { ASSERT_TRUE(trainer->advance()); };
   advance();
+  EXPECT_FALSE(trainer->update_best(INFINITY)) << "nothing was measured";
   EXPECT_TRUE(trainer->update_best(0.5));
   advance();
   EXPECT_EQ(trainer->share(), 0.2);
@@ -159,16 +160,34 @@ TEST(Trainer, ScoresWhatItTrained) {
   EXPECT_FALSE(without->has_head());
 }
 
+TEST(Trainer, SaysWhatDiffersFromTheTrainingItGoesOnWith) {
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("checkpoint.safetensors");
+  Recipe recipe = small_recipe();
+  ASSERT_TRUE(trainer_of(recipe)->save(path));
+  EXPECT_EQ(*trainer_of(recipe)->resume(path), "");
+  recipe.steps = 8;
+  std::vector<Pack> packs = scene_packs();
+  packs[0].use.name = "other";
+  const Result<std::string> changed = trainer_of(recipe, packs)->resume(path);
+  ASSERT_TRUE(changed) << changed.status().text();
+  for (const char* line :
+       {"then: steps = 6", "now:  steps = 8", "now:  trains on 24 frames of other"}) {
+    EXPECT_NE(changed->find(line), std::string::npos) << line << " is not in\n" << *changed;
+  }
+  EXPECT_EQ(std::count(changed->begin(), changed->end(), '\n'), 4);
+}
+
 TEST(Trainer, RefusesACheckpointOfAnotherNetworkOrOptimiser) {
   const test::TemporaryFolder folder;
   const std::string path = folder.file("checkpoint.safetensors");
   Recipe recipe = small_recipe();
   ASSERT_TRUE(trainer_of(recipe)->save(path));
   recipe.optimizer = OptimizerKind::kMuon;
-  EXPECT_EQ(trainer_of(recipe)->resume(path).code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(trainer_of(recipe)->resume(path).status().code(), StatusCode::kInvalidInput);
   recipe.optimizer = OptimizerKind::kAdamW;
   recipe.encoder = EncoderKind::kXs;
-  EXPECT_EQ(trainer_of(recipe)->resume(path).code(), StatusCode::kInvalidInput);
+  EXPECT_EQ(trainer_of(recipe)->resume(path).status().code(), StatusCode::kInvalidInput);
 }
 
 // Fine-tuning: the weights are the given ones, the steps are counted anew.

@@ -48,6 +48,25 @@ TEST(Trainer, RefusesThePhotometricLossWherePicturesHaveNoNeighbours) {
   EXPECT_NE(std::string(trainer.status().text()).find("--video"), std::string::npos);
 }
 
+// As empty depth pictures give: a training would end with a checkpoint of nothing.
+TEST(Trainer, RefusesPicturesWithoutAnyDepthUnlessTheyTeachByThemselves) {
+  std::vector<Pack> packs = {as_video(scene_packs()[0])};
+  std::vector<PackFrame> frames;
+  for (std::size_t i = 0; i < packs[0].frames->size(); ++i) {
+    frames.push_back(*packs[0].frames->read(i));
+    frames.back().depth = cv::Mat(cv::Mat::zeros(frames.back().depth.size(), CV_32F));
+  }
+  packs[0].frames = std::make_shared<MemoryFrames>(std::move(frames), true);
+  Recipe recipe = small_recipe();
+  const auto refused = Trainer::make(recipe, packs, one_cpu());
+  ASSERT_EQ(refused.code(), StatusCode::kInvalidInput);
+  EXPECT_NE(std::string(refused.status().text()).find("nothing to learn from"), std::string::npos);
+  recipe.losses.photometric = 1;
+  recipe.workers = 1;
+  const auto taken = Trainer::make(recipe, packs, one_cpu());
+  EXPECT_TRUE(taken) << taken.status().text();
+}
+
 TEST(Trainer, RefusesToLearnFocalLengthsWithoutThePhotometricLoss) {
   std::vector<Pack> packs = scene_packs();
   packs[0].use.learn_intrinsics = true;

@@ -42,6 +42,15 @@ TEST(TrainingLog, FullDiskLeavesTheCurve) {
   EXPECT_EQ(read_csv((folder / "curve.csv").string())->rows.size(), 2U);
 }
 
+TEST(TrainingLog, SaysWhereItCannotBeWritten) {
+  const test::TemporaryFolder scratch;
+  const fs::path folder = scratch.path();
+  fs::create_directories(folder / "curve.csv" / "not_a_file");
+  testing::internal::CaptureStderr();
+  { const TrainingLog log(folder, 0, 100); }
+  EXPECT_NE(testing::internal::GetCapturedStderr().find("curve.csv"), std::string::npos);
+}
+
 TEST(Checkpoint, FullDiskLeavesTheOldOne) {
   const test::TemporaryFolder scratch;
   const std::string path = scratch.file("checkpoint.safetensors");
