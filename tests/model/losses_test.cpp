@@ -274,6 +274,25 @@ TEST(TrainingLosses, KeepTheNearFieldOfTeachersOfTinyScale) {
   EXPECT_NEAR(distillation(0.01), distillation(1), 1e-4);
 }
 
+// The paper's own: plain L1 on metres, of whatever has a depth.
+TEST(TrainingLosses, OfThePaperCompareMetres) {
+  ModelConfig config = small_config();
+  config.preset = PresetKind::kPaper;
+  TrainedNetworks networks(config, false);
+  networks->eval();
+  const torch::NoGradGuard no_grad;
+  networks->depth->direct->weight.zero_();
+  networks->depth->direct->bias.zero_();
+  const float said = depth_of_variable(torch::zeros({1}), config).item<float>();
+  Batch batch = random_batch();
+  batch.target.depth = torch::zeros({2, 1, 64, 64});
+  batch.target.depth[0].narrow(1, 0, 32).fill_(said + 2);
+  batch.target.depth[1].narrow(1, 0, 32).fill_(said + 0.5F);
+  at::Generator generator = at::detail::createCPUGenerator(8);
+  const Losses losses = training_losses(networks, batch, {}, Part::kDirect, generator);
+  EXPECT_NEAR(losses[Term::kDistillation], (2 + 0.5) / 2, 1e-4);
+}
+
 // Equation 11 and our two additions.
 TEST(TrainingLosses, AreTheWeightedSumOfTheirTerms) {
   torch::manual_seed(10);
