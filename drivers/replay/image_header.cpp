@@ -88,7 +88,8 @@ const char* bmp_fault(Bytes bytes) {
                     static_cast<std::uint64_t>(std::abs(static_cast<std::int64_t>(height))));
 }
 
-// The first directory's ImageWidth and ImageLength (TIFF 6.0, section 2).
+// The first directory's ImageWidth and ImageLength (TIFF 6.0, section 2); of several the largest,
+// since decoders differ in which they take.
 const char* tiff_fault(Bytes bytes) {
   constexpr std::size_t kEntry = 12;
   const auto number = bytes[0] == 'I' ? little_endian : big_endian;
@@ -103,8 +104,8 @@ const char* tiff_fault(Bytes bytes) {
     const bool is_short = number(bytes.subspan(at + 2, 2)) == 3;
     const std::uint32_t value = number(bytes.subspan(at + 8, is_short ? 2 : 4));
     const std::uint32_t tag = number(bytes.subspan(at, 2));
-    if (tag == 256) width = value;
-    if (tag == 257) height = value;
+    if (tag == 256) width = std::max<std::uint64_t>(width, value);
+    if (tag == 257) height = std::max<std::uint64_t>(height, value);
   }
   return size_fault(width, height);
 }
