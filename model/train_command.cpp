@@ -179,7 +179,7 @@ Status resume(Trainer& trainer, const std::string& checkpoint, bool leads) {
   if (!changed) return changed.status();
   if (!leads) return Status::ok();
   if (!changed->empty()) {
-    std::fprintf(stderr, "goes on otherwise than it began:\n%s", changed->c_str());
+    std::fprintf(stderr, "goes on with other options or data than it had:\n%s", changed->c_str());
   }
   if (trainer.done()) {
     std::fprintf(stderr, "nothing left to do: %s is at step %lld; give more --steps\n",
