@@ -1,5 +1,6 @@
 // lcdm-train compare: the engine beside other runtimes on the same network, interleaved.
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <csignal>
 #include <cstdio>
@@ -8,6 +9,7 @@
 #include <functional>
 #include <memory>
 #include <sys/wait.h>
+#include <thread>
 #include <unistd.h>
 
 #include "firmware/base/os.h"
@@ -28,6 +30,10 @@ struct Options {
   int rounds = 30;
   int frames = 5;
 };
+
+// Between two runtimes: threads of the one that spin on (ONNX Runtime's do) would take the other's
+// processors.
+constexpr std::chrono::milliseconds kPause{100};
 
 // Milliseconds of the median frame of one round.
 struct Timing {
@@ -227,6 +233,7 @@ Status run(const Options& options) {
                              runner.name.c_str(), r);
       }
       round.push_back(*timing);
+      std::this_thread::sleep_for(kPause);
     }
     if (r > 0) rounds.push_back(round);  // the first warms up
   }
