@@ -434,7 +434,7 @@ Result<std::string> Trainer::resume(const std::string& path) {
   loader_.reset();
   const auto training = file->metadata.find("training");
   if (training == file->metadata.end()) return std::string();  // an older program's
-  return changed_lines(in_lines(training->second), training_text(recipe_, packs_));
+  return changed_lines(training->second, on_one_line(training_text(recipe_, packs_)));
 }
 
 }  // namespace lcdm::model

@@ -21,10 +21,10 @@ std::string text_of(const Pack& pack) {
          (use.video ? ", video" : "") + (use.learn_intrinsics ? ", learned intrinsics" : "") + "\n";
 }
 
-std::vector<std::string> lines_of(const std::string& text) {
+std::vector<std::string> lines_of(const std::string& one_line) {
   std::vector<std::string> lines;
-  std::istringstream stream(text);
-  for (std::string line; std::getline(stream, line);) lines.push_back(line);
+  std::istringstream stream(one_line);
+  for (std::string line; std::getline(stream, line, ';');) lines.push_back(line);
   return lines;
 }
 
@@ -41,11 +41,6 @@ std::string on_one_line(std::string text) {
     if (c == '\n') c = ';';
     if (c < ' ' || c > '~') c = '?';  // of a folder's name
   }
-  return text;
-}
-
-std::string in_lines(std::string text) {
-  std::replace(text.begin(), text.end(), ';', '\n');
   return text;
 }
 

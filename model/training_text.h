@@ -13,11 +13,10 @@ namespace lcdm::model {
 // The recipe, and how each pack is used; a line each.
 std::string training_text(const Recipe& recipe, const std::vector<Pack>& packs);
 
-// As metadata has it, where nothing may control a terminal; and back.
+// The same as metadata may have it: printable ASCII, a semicolon for each line's end.
 std::string on_one_line(std::string text);
-std::string in_lines(std::string text);
 
-// The lines of two such texts that the other lacks, those of `then` first, marked as such.
+// What of two texts on one line the other lacks, in lines, those of `then` first, marked as such.
 std::string changed_lines(const std::string& then, const std::string& now);
 
 }  // namespace lcdm::model

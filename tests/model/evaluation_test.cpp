@@ -120,6 +120,14 @@ TEST(NetworkEstimator, GivesMetres) {
   EXPECT_NEAR(cv::norm(estimator(frame), 2 * canonical, cv::NORM_INF), 0, 1e-4);
 }
 
+DepthNetwork small_network() {
+  ModelConfig config;
+  config.encoder = EncoderKind::kXxs;
+  DepthNetwork network(config);
+  network->eval();
+  return network;
+}
+
 // A set of one random frame.
 Pack pack_of(Teacher teacher) {
   PackFrame frame{"0", cv::Mat(48, 64, CV_8UC3), cv::Mat(48, 64, CV_32F),
@@ -135,10 +143,7 @@ Pack pack_of(Teacher teacher) {
 
 // A sensor's depth where there is some, else renderings, else the teacher's maps.
 TEST(Validate, ScoresOnTheDepthThatIsBelievedMost) {
-  ModelConfig config;
-  config.encoder = EncoderKind::kXxs;
-  DepthNetwork network(config);
-  network->eval();
+  DepthNetwork network = small_network();
   Data data;
   data.packs = {pack_of(Teacher::kMaps), pack_of(Teacher::kRenderer), pack_of(Teacher::kSensor)};
   data.protocols.resize(3);
@@ -153,10 +158,7 @@ TEST(Validate, ScoresOnTheDepthThatIsBelievedMost) {
 
 // Pictures for the photometric loss alone: nothing to measure by, and no fault.
 TEST(Validate, LeavesOutWhatHasNoDepth) {
-  ModelConfig config;
-  config.encoder = EncoderKind::kXxs;
-  DepthNetwork network(config);
-  network->eval();
+  DepthNetwork network = small_network();
   Data data;
   data.packs = {pack_of(Teacher::kSensor), pack_of(Teacher::kNone)};
   data.protocols.resize(2);
@@ -174,10 +176,7 @@ TEST(Validate, WithoutAFrameHasNoScore) {
 
 // A score of what is left would be of another kind: none, and why is told.
 TEST(Validate, WithoutASetThatItShouldHaveHasNoScore) {
-  ModelConfig config;
-  config.encoder = EncoderKind::kXxs;
-  DepthNetwork network(config);
-  network->eval();
+  DepthNetwork network = small_network();
   Data data;
   data.packs = {pack_of(Teacher::kRenderer), pack_of(Teacher::kSensor)};
   data.protocols.resize(2);
