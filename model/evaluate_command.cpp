@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstdio>
 #include <filesystem>
 #include <opencv2/imgcodecs.hpp>
@@ -139,25 +140,26 @@ Result<std::size_t> evaluate_pack(const Options& options, const Pack& pack, Prot
   return first.frames.size();
 }
 
-bool is_asked_for(const Options& options, const Pack& pack) {
-  return options.pack.empty() || pack.use.name == options.pack;
-}
-
-// An empty table would say nothing of why.
-Status require_set(const Options& options, const Data& data) {
-  const bool found =
-      std::any_of(data.packs.begin(), data.packs.end(),
-                  [&options](const Pack& pack) { return is_asked_for(options, pack); });
-  if (found || options.pack.empty()) return Status::ok();
-  return Status::error(StatusCode::kUsage, "--only %s: no set of this name among the %s",
-                       options.pack.c_str(), options.test ? "test sets" : "training packs");
+// Leaves the set that --only names, where it does. kUsage: there is none.
+Status keep_asked_for(const Options& options, Data& data) {
+  if (options.pack.empty()) return Status::ok();
+  const auto found =
+      std::find_if(data.packs.begin(), data.packs.end(),
+                   [&options](const Pack& pack) { return pack.use.name == options.pack; });
+  if (found == data.packs.end()) {
+    return Status::error(StatusCode::kUsage, "--only %s: no set of this name among the %s",
+                         options.pack.c_str(), options.test ? "test sets" : "training packs");
+  }
+  data.protocols = {data.protocols[static_cast<std::size_t>(found - data.packs.begin())]};
+  data.packs = {*found};
+  return Status::ok();
 }
 
 Status evaluate_all(const Options& options, const std::vector<Candidate>& candidates) {
-  const Result<Data> data =
+  Result<Data> data =
       options.test ? load_test_data(options.data) : load_training_data(options.data);
   if (!data) return data.status();
-  LCDM_RETURN_IF_ERROR(require_set(options, *data));
+  LCDM_RETURN_IF_ERROR(keep_asked_for(options, *data));
   LCDM_RETURN_IF_ERROR(require_frames(*data, options.test));
   FrameTable table(options.frames);
   LCDM_RETURN_IF_ERROR(table.begin());
@@ -168,7 +170,6 @@ Status evaluate_all(const Options& options, const std::vector<Candidate>& candid
   std::size_t measured = 0;
   for (std::size_t i = 0; i < data->packs.size(); ++i) {
     const Pack& pack = data->packs[i];
-    if (!is_asked_for(options, pack)) continue;
     const Result<std::size_t> frames =
         evaluate_pack(options, pack, data->protocols[i], candidates, table);
     if (!frames) return frames.status();

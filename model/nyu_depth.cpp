@@ -19,6 +19,7 @@ using dataset::matches;
 using dataset::MatFile;
 
 constexpr const char* kLabelled = "nyu_depth_v2_labeled.mat";
+constexpr const char* kDepths = "rawDepths";  // the sensor's, with its holes
 constexpr double kMillimetre = 0.001;
 // Of the colour camera: camera_params.m of the authors' toolbox, whose pixels count from 1.
 constexpr CameraModel kCamera{640, 480, 518.857901F, 519.469611F, 324.582449F, 252.736166F, true};
@@ -73,7 +74,7 @@ class LabelledFrames final : public Frames {
       }
       cv::Mat rgb;
       cv::merge(colours, rgb);
-      const Result<cv::Mat> depth = file_->plane("rawDepths", numbers_[index]);
+      const Result<cv::Mat> depth = file_->plane(kDepths, numbers_[index]);
       if (!depth) return depth.status();
       return frame_of(name(index), rgb, *depth, options_.max_width, what);
     });
@@ -115,8 +116,7 @@ Result<std::shared_ptr<const Frames>> open_labelled(const fs::path& root,
   if (!file) return file.status();
   const auto images = (*file)->shape("images");  // height, width, colour, frame
   if (!images) return images.status();
-  const char* variable = "rawDepths";
-  const auto depths = (*file)->shape(variable);  // height, width, frame
+  const auto depths = (*file)->shape(kDepths);  // height, width, frame
   if (!depths) return depths.status();
   const Result<cv::Mat> first = (*file)->plane("images");
   if (!first) return first.status();
@@ -126,7 +126,7 @@ Result<std::shared_ptr<const Frames>> open_labelled(const fs::path& root,
     return Status::error(StatusCode::kCorrupt,
                          "%s: \"images\" and \"%s\" are not bytes [height][width][3][count] and "
                          "metres [height][width][count]",
-                         path.c_str(), variable);
+                         path.c_str(), kDepths);
   }
   auto numbers = read_split(root / "splits.mat", options.split, shape[3]);
   if (!numbers) return numbers.status();

@@ -79,7 +79,7 @@ void add_weight(CLI::App& command, const char* name, double& weight, const char*
   command.add_option(name, weight, what)->check(CLI::NonNegativeNumber)->capture_default_str();
 }
 
-// Those that the ablation's rows do not set.
+// Those whose size the ablation's rows leave as it is.
 void add_our_losses(CLI::App& command, LossWeights& weights) {
   add_weight(command, "--gradient", weights.gradient, "Weight of the gradient loss");
   add_weight(command, "--direct", weights.direct, "Weight of the 0-step answer's losses");

@@ -81,6 +81,9 @@ TEST_F(TrainCli, RefusesToMeasureOnNothing) {
   const std::string estimates = folder_.path();
   expect_refusal({"evaluate", "--data", catalogue, "--estimates", estimates}, 2,
                  "nothing to evaluate on");
+  expect_refusal({"evaluate", "--data", folder_.write("scene.toml", "[scene]\nframes = 1\n"),
+                  "--only", "nowhere", "--estimates", estimates},
+                 2, "--only nowhere: no set of this name");
   expect_refusal({"report", "--data", catalogue, "--model", "model/weights/lcdm-xxs.safetensors"},
                  2, "nothing to evaluate on");
   expect_refusal(
@@ -109,6 +112,25 @@ TEST_F(TrainCli, SaysThatTheFiguresOfFramesCouldNotBeKept) {
                          "--estimates", folder_.path(), "--frames", "/dev/full"});
   EXPECT_EQ(program.wait(60), 1) << program.text();
   EXPECT_THAT(program.text(), HasSubstr("--frames /dev/full: cannot write"));
+}
+
+// What the one set asks of its weights the other's licence would leave out.
+TEST_F(TrainCli, AMeanOfDifferentLicencesNeedsOneThatIsSaid) {
+  std::vector<std::string> mean = {
+      "export", "--output", folder_.file("mean.safetensors"), "--name", "mean", "--card", "two"};
+  for (const std::string licence : {"free", "research"}) {
+    const std::string data =
+        folder_.write(licence + ".toml", "licence = \"" + licence + "\"\n[scene]\nframes = 8\n");
+    test::Program program(LCDM_TRAIN_PROGRAM,
+                          {"train", "--data", data, "--encoder", "xxs", "--steps", "1", "--stage",
+                           "0.2:1:1", "--output", folder_.file(licence)});
+    ASSERT_EQ(program.wait(120), 0) << program.text();
+    mean.insert(mean.end(), {"--checkpoint", folder_.file(licence) + "/checkpoint.safetensors"});
+  }
+  expect_refusal(mean, 2, "follows from both \"free\"");
+  mean.insert(mean.end(), {"--licence", "research"});
+  test::Program program(LCDM_TRAIN_PROGRAM, mean);
+  EXPECT_EQ(program.wait(60), 0) << program.text();
 }
 
 TEST_F(TrainCli, RefusesDataAndWeightsThatNoRetryCures) {
