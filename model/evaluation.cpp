@@ -87,6 +87,22 @@ Estimator network_estimator(DepthNetwork& network, int steps, double share) {
   };
 }
 
+Estimator both_ways(Estimator estimator) {
+  return [estimator = std::move(estimator)](const PackFrame& frame) -> cv::Mat {
+    PackFrame mirror = frame;
+    mirror.rgb = cv::Mat();  // pixels of its own
+    cv::flip(frame.rgb, mirror.rgb, 1);
+    mirror.camera.cx = static_cast<float>(frame.rgb.cols - 1) - frame.camera.cx;
+    const cv::Mat depth = estimator(frame);
+    cv::Mat other = estimator(mirror);
+    if (depth.empty() || depth.size() != other.size()) return {};
+    cv::flip(other, other, 1);
+    cv::Mat mean = 2 * depth.mul(other) / (depth + other);
+    mean.setTo(0, (depth <= 0) | (other <= 0));
+    return mean;
+  };
+}
+
 Result<Estimator> file_estimator(const std::string& path, double share) {
   const Result<ModelFile> file = ModelFile::load(path);
   if (!file) return file.status();

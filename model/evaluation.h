@@ -26,6 +26,10 @@ Result<Estimator> file_estimator(const std::string& path, double share = 1);
 Result<Estimator> engine_estimator(const std::string& path, Precision precision, int threads,
                                    double share = 1);
 
+// The mean, in inverse depth, of what is said of a picture and of its mirror image: it is wrong a
+// little differently in the two. 0 where either is unknown; no depth where either has none.
+Estimator both_ways(Estimator estimator);
+
 // Mean difference of log depth; both of one size, as two estimators of one share make of a frame.
 double log_distance(const cv::Mat& a, const cv::Mat& b);
 // A folder of a teacher's maps, NAME.png in 1/256 m.

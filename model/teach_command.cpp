@@ -76,8 +76,9 @@ Status write_alignment(const fs::path& folder, const Options& options) {
 }
 
 Status run(const Options& options) {
-  const Result<Estimator> teacher = teacher_of(options);
-  if (!teacher) return teacher.status();
+  const Result<Estimator> one_way = teacher_of(options);
+  if (!one_way) return one_way.status();
+  const Estimator teacher = both_ways(*one_way);
   const fs::path folder = fs::canonical(options.pack);
   PackUse use;
   use.name = folder.filename().string();
@@ -91,7 +92,7 @@ Status run(const Options& options) {
   for (std::size_t i = 0; i < pack->frames->size(); ++i) {
     const Result<PackFrame> frame = pack->frames->read(i);
     if (!frame) std::fprintf(stderr, "left out: %s\n", frame.status().text());
-    const cv::Mat metres = frame ? (*teacher)(*frame) : cv::Mat();
+    const cv::Mat metres = frame ? teacher(*frame) : cv::Mat();
     if (metres.empty()) {
       ++without;
       continue;

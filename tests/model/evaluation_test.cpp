@@ -120,6 +120,38 @@ TEST(NetworkEstimator, GivesMetres) {
   EXPECT_NEAR(cv::norm(estimator(frame), 2 * canonical, cv::NORM_INF), 0, 1e-4);
 }
 
+// A teacher that believes everything on a picture's left to be at 1 m, on its right at 3: of a
+// picture and its mirror it says 1.5 m everywhere. What it does not know in one is not known.
+TEST(BothWays, IsTheMeanInverseDepthOfAPictureAndOfItsMirror) {
+  const Estimator left_is_near = [](const PackFrame& frame) {
+    cv::Mat depth(frame.rgb.size(), CV_32F, cv::Scalar(3));
+    depth.colRange(0, 4).setTo(1);
+    if (frame.rgb.at<cv::Vec3b>(0, 7)[0] == 9) depth.at<float>(2, 7) = 0;
+    return depth;
+  };
+  PackFrame frame;
+  frame.rgb = cv::Mat(4, 8, CV_8UC3, cv::Scalar::all(0));
+  frame.rgb.at<cv::Vec3b>(0, 7)[0] = 9;
+  const cv::Mat depth = both_ways(left_is_near)(frame);
+  ASSERT_EQ(depth.size(), frame.rgb.size());
+  EXPECT_EQ(depth.at<float>(2, 7), 0) << "unknown in the picture";
+  EXPECT_EQ(cv::countNonZero(depth == 1.5F), 31);
+  EXPECT_TRUE(both_ways([](const PackFrame&) { return cv::Mat(); })(frame).empty());
+}
+
+// What a camera sees mirrored it sees with its centre mirrored.
+TEST(BothWays, MirrorsTheCameraToo) {
+  PackFrame frame;
+  frame.rgb = cv::Mat(4, 8, CV_8UC3, cv::Scalar::all(0));
+  frame.camera.cx = 2;
+  std::vector<float> centres;
+  both_ways([&centres](const PackFrame& seen) {
+    centres.push_back(seen.camera.cx);
+    return cv::Mat(seen.rgb.size(), CV_32F, cv::Scalar(1));
+  })(frame);
+  EXPECT_EQ(centres, (std::vector<float>{2, 5}));
+}
+
 DepthNetwork small_network() {
   ModelConfig config;
   config.encoder = EncoderKind::kXxs;
