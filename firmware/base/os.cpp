@@ -1,6 +1,7 @@
 #include "firmware/base/os.h"
 
 #include <algorithm>
+#include <bit>
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
@@ -59,16 +60,39 @@ void pin_thread(int index) {
   }
 }
 
+namespace {
+
+// `bytes`, a multiple of a page's, from a multiple of `alignment`: more is mapped and given back.
+std::byte* map_aligned(std::size_t bytes, std::size_t alignment) {
+  void* mapped =
+      mmap(nullptr, bytes + alignment, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  if (mapped == MAP_FAILED) return nullptr;
+  auto* begin = static_cast<std::byte*>(mapped);
+  const std::size_t before =
+      (alignment - std::bit_cast<std::uintptr_t>(begin) % alignment) % alignment;
+  if (before > 0) munmap(begin, before);
+  munmap(begin + before + bytes, alignment - before);
+  return begin + before;
+}
+
+std::size_t rounded_up(std::size_t bytes, std::size_t step) {
+  return (bytes + step - 1) / step * step;
+}
+
+}  // namespace
+
 Result<std::byte*> allocate_pages(std::size_t bytes) {
-  void* memory = mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
-  if (memory == MAP_FAILED) {
+  const auto page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
+  std::byte* memory =
+      map_aligned(rounded_up(std::max<std::size_t>(bytes, 1), page), kHugePageBytes);
+  if (memory == nullptr) {
     return Status::error(StatusCode::kOutOfMemory,
                          "cannot reserve %zu bytes: free memory or choose a smaller input size",
                          bytes);
   }
   madvise(memory, bytes, MADV_HUGEPAGE);  // best effort
   std::memset(memory, 0, bytes);          // touches every page: no faults later
-  return static_cast<std::byte*>(memory);
+  return memory;
 }
 
 void free_pages(std::byte* memory, std::size_t bytes) noexcept {

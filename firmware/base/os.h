@@ -30,8 +30,10 @@ void lower_thread_priority(int steps);
 // those that it may run on. Best effort.
 void pin_thread(int index);
 
-// Page-aligned zeroed memory, every page touched, in huge pages where the kernel gives them: fewer
-// misses of the address cache. Owned by the caller: give it to free_pages.
+// Of x86, and of Arm where a page has 4 KB.
+constexpr std::size_t kHugePageBytes = std::size_t{2} << 20;
+// Zeroed memory from such a page's beginning on, every page touched, in huge pages where the kernel
+// gives them: fewer misses of the address cache. Owned by the caller: give it to free_pages.
 Result<std::byte*> allocate_pages(std::size_t bytes);
 void free_pages(std::byte* memory, std::size_t bytes) noexcept;
 

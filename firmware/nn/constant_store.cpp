@@ -1,28 +1,41 @@
 #include "firmware/nn/constant_store.h"
 
 #include <algorithm>
+#include <numeric>
 
+#include "firmware/base/os.h"
 #include "firmware/nn/memory_plan.h"
 
 namespace lcdm {
 
-Result<std::span<float>> ConstantStore::add(std::size_t count) {
-  constexpr std::size_t kBlockBytes = 1U << 20;
-  const std::size_t bytes = MemoryPlan::aligned(count * sizeof(float));
-  if (blocks_.empty() || blocks_.back().bytes() - used_ < bytes) {
-    Result<Arena> block = Arena::allocate(std::max(bytes, kBlockBytes));
-    if (!block) return block.status();
-    blocks_.push_back(std::move(*block));
-    used_ = 0;
-  }
-  const std::span<float> piece = blocks_.back().floats(used_, count);
-  used_ += bytes;
-  bytes_ += bytes;
+std::span<float> ConstantStore::Block::take(std::size_t count) {
+  const std::span<float> piece = memory.floats(used, count);
+  used += MemoryPlan::aligned(count * sizeof(float));
   return piece;
 }
 
+Result<std::span<float>> ConstantStore::add(std::size_t count) {
+  const std::size_t bytes = MemoryPlan::aligned(count * sizeof(float));
+  for (Block& block : blocks_) {
+    if (block.memory.bytes() - block.used >= bytes) return block.take(count);
+  }
+  const std::size_t pages =
+      std::max<std::size_t>(1, (bytes + os::kHugePageBytes - 1) / os::kHugePageBytes);
+  Result<Arena> memory = Arena::allocate(pages * os::kHugePageBytes);
+  if (!memory) return memory.status();
+  blocks_.push_back({std::move(*memory), 0});
+  return blocks_.back().take(count);
+}
+
+std::size_t ConstantStore::bytes() const {
+  return std::accumulate(
+      blocks_.begin(), blocks_.end(), std::size_t{0},
+      [](std::size_t sum, const Block& block) { return sum + block.memory.bytes(); });
+}
+
 bool ConstantStore::locked() const {
-  return std::all_of(blocks_.begin(), blocks_.end(), [](const Arena& b) { return b.locked(); });
+  return std::all_of(blocks_.begin(), blocks_.end(),
+                     [](const Block& b) { return b.memory.locked(); });
 }
 
 }  // namespace lcdm

@@ -11,18 +11,23 @@
 namespace lcdm {
 
 // Memory that lives as long as the program: packed weights and constants. Hands out pieces of
-// large blocks; never gives one back before its own end.
+// blocks that are whole huge pages, from the first that has room; never gives one back before its
+// own end.
 class ConstantStore {
  public:
   // Zeroed and aligned to MemoryPlan::kAlignment.
   Result<std::span<float>> add(std::size_t count);
-  std::size_t bytes() const { return bytes_; }  // handed out
-  bool locked() const;                          // all of it
+  std::size_t bytes() const;  // of the blocks, whatever of them is handed out
+  bool locked() const;        // all of it
 
  private:
-  std::vector<Arena> blocks_;
-  std::size_t used_ = 0;  // bytes of the last block
-  std::size_t bytes_ = 0;
+  struct Block {
+    Arena memory;
+    std::size_t used;  // bytes
+
+    std::span<float> take(std::size_t count);
+  };
+  std::vector<Block> blocks_;
 };
 
 }  // namespace lcdm

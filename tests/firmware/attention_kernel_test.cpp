@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <gtest/gtest.h>
+#include <limits>
 
 #include "firmware/nn/kernels/attention.h"
 #include "firmware/nn/kernels/matrix.h"
@@ -154,6 +155,32 @@ TEST(AttentionKernel, SurvivesScoresThatWouldOverflow) {
       std::vector<float> scratch(attention_scratch(a));
       attention_range(a, 0, attention_items(a), scratch.data());
       for (const float v : out) EXPECT_EQ(v, 3 << 18) << to_string(precision);
+    }
+  });
+}
+
+// Scores beyond what floats hold cannot be compared: no depth then, not the mean of all values.
+TEST(AttentionKernel, ScoresThatAreInfiniteOrNoNumberGiveNone) {
+  for_each_isa([] {
+    constexpr int kTokens = 4;
+    constexpr int kChannels = 2 * 4;
+    for (const float value :
+         {1e20F, std::numeric_limits<float>::infinity(), std::numeric_limits<float>::quiet_NaN()}) {
+      for (const int part : {0, 1}) {  // of queries, of keys
+        for (const Precision precision :
+             {Precision::kFloat32, Precision::kFloat16, Precision::kBfloat16}) {
+          if (support_of(precision) == Support::kNone) continue;
+          std::vector<float> qkv(std::size_t{3} * kTokens * kChannels, 1);
+          std::fill_n(qkv.begin() + part * kChannels, kChannels, value);
+          if (value == 1e20F) std::fill_n(qkv.begin(), 2 * kChannels, value);
+          std::vector<float> out(std::size_t{kTokens} * kChannels);
+          const Attention a = {qkv.data(), 1, kTokens, kChannels, 4, out.data(), precision};
+          std::vector<float> scratch(attention_scratch(a));
+          attention_range(a, 0, attention_items(a), scratch.data());
+          EXPECT_TRUE(std::isnan(out[0]))
+              << value << " in " << part << ", " << to_string(precision);
+        }
+      }
     }
   });
 }

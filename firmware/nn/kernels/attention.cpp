@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "firmware/nn/kernels/matrix.h"
 
@@ -59,14 +60,12 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   const Buffers<Operand> b(t, scratch);
   const float scale = kScoreUnits<Operand> / std::sqrt(static_cast<float>(t.head_channels));
   float unit = pack_queries(t, scale, b);
-  bool small = false;
-  if constexpr (!Operand::kScaled) {
-    if (t.first_of_head) {
-      b.of_head[Buffers<Operand>::kLongestKey] =
-          longest_square(t.keys, t.token_stride, t.tokens, t.head_channels);
-    }
-    small = scores_are_small(t, b);
+  if (t.first_of_head) {
+    b.of_head[Buffers<Operand>::kLongestKey] =
+        longest_square(t.keys, t.token_stride, t.tokens, t.head_channels);
   }
+  const float square = square_of_scores(t, b);
+  const bool small = !Operand::kScaled && square <= kMostScore * kMostScore;
   float value_unit = 1;
   const int channel_words = words_of<Operand>(t.head_channels);
   Walk keys = {t.keys, t.token_stride, 1, channel_words};
@@ -89,6 +88,9 @@ HWY_INLINE void attend(const QueryTile& t, float* out, std::ptrdiff_t out_stride
   }
   if constexpr (Operand::kScaled) {
     for (FullVec& v : inverse) v = hn::Mul(v, hn::Set(d, value_unit));
+  }
+  if (!(square <= kMostFinite)) {  // what cannot be compared must not come out as some depth
+    for (FullVec& v : inverse) v = hn::Set(d, std::numeric_limits<float>::quiet_NaN());
   }
 
   mix(t, values, inverse, b);

@@ -7,6 +7,7 @@
 #endif
 
 #include <algorithm>
+#include <bit>
 #include <cstddef>
 
 #include "firmware/nn/kernels/attention_tile-inl.h"
@@ -103,7 +104,7 @@ HWY_INLINE void powers(const QueryTile& t, const Walk& keys, const Buffers<Opera
   for (int v = 0; v < kQueryVectors; ++v) inverse[v] = hn::Div(hn::Set(d, 1.0F), sum[v]);
 }
 
-// The square of the longest of `count` rows.
+// The square of the longest of `count` rows; infinite or no number where one of them is.
 HWY_INLINE float longest_square(const float* rows, std::ptrdiff_t stride, int count, int numbers) {
   float longest = 0;
   const HWY_CAPPED(float, 4) d;  // of a head's few numbers larger vectors would leave more
@@ -118,27 +119,31 @@ HWY_INLINE float longest_square(const float* rows, std::ptrdiff_t stride, int co
       sum = hn::MulAdd(v, v, sum);
     }
     for (; i < numbers; ++i) rest += rows[i] * rows[i];
-    longest = std::max(longest, rest + hn::GetLane(hn::SumOfLanes(d, sum)));
+    const float square = rest + hn::GetLane(hn::SumOfLanes(d, sum));
+    if (!(square <= kMostFinite)) return square;
+    longest = std::max(longest, square);
   }
   return longest;
 }
 
-// Whether all scores of this tile are within kMostScore: none is more than the product of its
-// query's and its key's lengths. Queries are as pack_queries turned them.
+// No score of this tile has a larger square: none is more than the product of its query's and its
+// key's lengths. Infinite or no number where a score may be. Queries are as pack_queries turned
+// them.
 template <class Operand>
-HWY_INLINE bool scores_are_small(const QueryTile& t, const Buffers<Operand>& b) {
+HWY_INLINE float square_of_scores(const QueryTile& t, const Buffers<Operand>& b) {
   const FullTag d;
-  FullVec longest = hn::Zero(d);
+  const hn::RebindToSigned<FullTag> di;
+  auto longest = hn::Zero(di);  // as bits, of which those of no number are the largest
   for (std::size_t q = 0; q < kQueries; q += kLanes) {
     FullVec sum = hn::Zero(d);
     for (int c = 0; c < t.head_channels; ++c) {
       const FullVec v = hn::LoadU(d, b.mixed + static_cast<std::size_t>(c) * kQueries + q);
       sum = hn::MulAdd(v, v, sum);
     }
-    longest = hn::Max(longest, sum);
+    longest = hn::Max(longest, hn::BitCast(di, hn::Abs(sum)));
   }
-  const float of_queries = hn::GetLane(hn::MaxOfLanes(d, longest));
-  return of_queries * b.of_head[Buffers<Operand>::kLongestKey] <= kMostScore * kMostScore;
+  const auto of_queries = std::bit_cast<float>(hn::GetLane(hn::MaxOfLanes(di, longest)));
+  return of_queries * b.of_head[Buffers<Operand>::kLongestKey];
 }
 
 // scores[key][query] <- exp((score - largest of the query) * unit), as words; returns 1 / their

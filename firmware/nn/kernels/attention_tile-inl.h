@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <limits>
 
 #include "firmware/nn/kernels/gemm-inl.h"
 
@@ -43,6 +44,7 @@ constexpr float kScoreUnits = Operand::kScaled ? 1.0F : 1.44269504F;
 // Scores no larger than this, of either sign, need not be compared with the largest of their query
 // before they become powers of two: these and their sums stay far from a float's ends.
 constexpr float kMostScore = 60;
+constexpr float kMostFinite = std::numeric_limits<float>::max();
 // Its power counts as 0: for the key that a pair lacks.
 constexpr float kNoScore = -127;
 

@@ -67,7 +67,7 @@ Status force_isa(const std::string& name) {
 
 Status force_isa_of_environment() {
   const char* name = std::getenv("LCDM_ISA");  // NOLINT(concurrency-mt-unsafe): no threads yet
-  return name == nullptr ? Status::ok() : force_isa(name);
+  return name == nullptr || *name == '\0' ? Status::ok() : force_isa(name);
 }
 
 }  // namespace lcdm::kernels

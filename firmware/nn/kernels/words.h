@@ -1,6 +1,7 @@
 // 32-bit words of narrow numbers, one at a time: for packing, and for the ends of rows.
 #pragma once
 
+#include <algorithm>
 #include <bit>
 #include <cstdint>
 
@@ -47,10 +48,12 @@ struct PowerOfTwo {
   float inverse = 1;
 };
 
-// The largest that is not more than x; so x * inverse is from 1 to 2. Where x has none among the
-// normal floats the value is 0, and x counts as that.
+// The largest that is not more than x, at most 2^126, whose inverse is a normal float too; so
+// x * inverse is from 1 to 2, of the largest floats to 4. Where x has none among the normal floats
+// the value is 0, and x counts as that.
 inline PowerOfTwo power_of_two_within(float x) {
-  const std::uint32_t exponent = std::bit_cast<std::uint32_t>(x) & 0x7F800000U;
+  constexpr std::uint32_t kMost = 253U << 23;
+  const std::uint32_t exponent = std::min(std::bit_cast<std::uint32_t>(x) & 0x7F800000U, kMost);
   return {std::bit_cast<float>(exponent), std::bit_cast<float>(0x7F000000U - exponent)};
 }
 
