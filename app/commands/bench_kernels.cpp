@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <functional>
+#include <limits>
 #include <map>
 #include <string>
 #include <utility>
@@ -356,7 +357,7 @@ Result<std::vector<Measured>> make_cases(ConstantStore& store) {
     Cases cases(store);
     Measured measured{isa, cases.make(), {}, 0};
     if (!cases.status()) return cases.status();
-    measured.ns.assign(measured.cases.size(), 1e18);
+    measured.ns.assign(measured.cases.size(), std::numeric_limits<double>::infinity());
     all.push_back(std::move(measured));
   }
   return all;

@@ -1,6 +1,7 @@
 #include "app/commands/bench_profile.h"
 
 #include <cstdio>
+#include <map>
 #include <numeric>
 #include <string>
 #include <vector>
@@ -18,6 +19,7 @@ struct Part {
   const char* kind = "";  // of a layer; empty: no layer
   double ms = 0;
   double macs = 0;
+  int layers = 0;  // of a sum
 };
 
 void print_part(const Part& part, double all_ms, double peak) {
@@ -56,7 +58,7 @@ void print_profile(const Engine& engine, const EngineProfile& profile, int frame
   const double peak =
       kernels::peak_gmacs() * stats.threads * kernels::numbers_per_word(stats.precision);
   std::printf("\n%-42s %-10s %8s %7s %9s %7s\n", "part", "kind", "ms", "share", "GFLOP/s", "limit");
-  Part rest{"(all others)", "", 0, 0};
+  std::map<std::string, Part> rest;  // by kind
   Part all{"frame", "", 0, 0};
   for (const Part& part : parts) {
     all.ms += part.ms;
@@ -64,15 +66,21 @@ void print_profile(const Engine& engine, const EngineProfile& profile, int frame
     if (part.ms >= kSmallShare * all_ms || *part.kind == '\0') {
       print_part(part, all_ms, peak);
     } else {
-      rest.ms += part.ms;
-      rest.macs += part.macs;
+      Part& alike = rest[part.kind];
+      alike.name = "(" + std::to_string(++alike.layers) + " smaller ones)";
+      alike.kind = part.kind;
+      alike.ms += part.ms;
+      alike.macs += part.macs;
     }
   }
-  print_part(rest, all_ms, peak);
+  for (const auto& [kind, part] : rest) print_part(part, all_ms, peak);
   print_part(all, all_ms, peak);
   std::printf("limit      %.0f GFLOP/s: %d thread(s) of independent vector multiply-adds in %s\n",
               2 * peak, stats.threads, to_string(stats.precision));
-  std::printf("-          moves and scales numbers: no multiply-adds are counted\n");
+  std::printf(
+      "-          moves and scales numbers: no multiply-adds are counted\n"
+      "           a layer may be beyond the limit: the plain sums' multiply-adds are counted,\n"
+      "           and exact identities leave fewer\n");
   if (stats.precision == Precision::kFloat32) return;
   std::printf("           what stays in floats can reach 1/%d of the limit\n",
               kernels::numbers_per_word(stats.precision));

@@ -27,18 +27,22 @@ void print_model(const ModelFile& file) {
 }
 
 void print_plan(const Network& network) {
-  std::printf("%-44s %-14s %18s %12s %10s %10s %9s\n", "layer", "kind", "height x width x c",
-              "MACs", "offset", "bytes", "steps");
+  std::printf("%4s %-44s %-14s %18s %12s %10s %10s %9s  %s\n", "step", "layer", "kind",
+              "height x width x c", "MACs", "offset", "bytes", "in use", "last reader");
   std::int64_t macs = 0;
   std::size_t end = 0;
-  for (const PlanRow& row : plan_rows(network)) {
+  const std::vector<PlanRow> rows = plan_rows(network);
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const PlanRow& row = rows[i];
     char shape[32];
     std::snprintf(shape, sizeof(shape), "%d x %d x %d", row.shape.height, row.shape.width,
                   row.shape.channels);
     char steps[24];
     std::snprintf(steps, sizeof(steps), "%d-%d", row.first, row.last);
-    std::printf("%-44s %-14s %18s %12lld %10zu %10zu %9s\n", row.name.c_str(), row.kind, shape,
-                static_cast<long long>(row.macs), row.offset, row.bytes, steps);
+    const bool is_read = row.last > row.first;
+    const char* reader = is_read ? rows[static_cast<std::size_t>(row.last)].name.c_str() : "-";
+    std::printf("%4zu %-44s %-14s %18s %12lld %10zu %10zu %9s  %s\n", i, row.name.c_str(), row.kind,
+                shape, static_cast<long long>(row.macs), row.offset, row.bytes, steps, reader);
     macs += row.macs;
     end = std::max(end, row.offset + row.bytes);
   }

@@ -1,6 +1,7 @@
 // The real program, as scripts and people use it: exit statuses, one line for each bad input, and
 // the interfaces that scripts rely on.
 #include <algorithm>
+#include <cctype>
 #include <filesystem>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -12,6 +13,7 @@
 
 #include "app/http_server.h"
 #include "firmware/base/os.h"
+#include "firmware/nn/kernels/isa.h"
 #include "tests/app/program.h"
 #include "tests/app/raw_client.h"
 #include "tests/support/random_model.h"
@@ -410,6 +412,22 @@ TEST_F(Cli, AnUnknownInstructionSetIsRefusedWithThoseThereAre) {
   EXPECT_THAT(child.text(), HasSubstr("there are"));
 }
 
+TEST_F(Cli, ALesserInstructionSetIsUsedWhereItIsAskedFor) {
+  const std::vector<std::string> names = kernels::isa_names();
+  const std::string& least = names.back();
+  std::string lower = least;
+  for (char& c : lower) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  test::Program child("/usr/bin/env", {"LCDM_ISA=" + lower, LCDM_PROGRAM, "bench", "--json",
+                                       "--size", "64x64", "--model", model_});
+  ASSERT_EQ(child.wait(60), 0) << child.text();
+  EXPECT_EQ(nlohmann::json::parse(child.text())["isa"], least);
+}
+
+TEST_F(Cli, AnEmptyInstructionSetIsNone) {
+  test::Program child("/usr/bin/env", {"LCDM_ISA=", LCDM_PROGRAM, "check"});
+  EXPECT_EQ(child.wait(20), 0) << child.text();
+}
+
 TEST_F(Cli, InspectShowsTheModelLayerByLayer) {
   const Outcome outcome = lcdm({"inspect", "model", model_});
   EXPECT_EQ(outcome.status, 0);
@@ -417,6 +435,8 @@ TEST_F(Cli, InspectShowsTheModelLayerByLayer) {
        {"licence", "encoder xxs", "encoder.stem", "decoder.condition", "640", "GMAC"}) {
     EXPECT_THAT(outcome.text, HasSubstr(wanted));
   }
+  // Who writes a tensor and who reads it last: the input is the first, and the stem reads it.
+  EXPECT_THAT(outcome.text, ContainsRegex("\n *0 input .* encoder\\.stem\n"));
 }
 
 }  // namespace

@@ -361,5 +361,28 @@ TEST(NetworkSize, IsAlwaysOneTheNetworkAccepts) {
   }
 }
 
+// A file may hold any finite weights: what overflows shows as no depth, and nothing worse happens.
+TEST(Engine, SurvivesWeightsOfAnySize) {
+  const ModelConfig config = test::make_config(EncoderKind::kXxs, PresetKind::kLcdm);
+  const std::vector<test::RandomTensor> weights = test::make_random_weights(config, 5);
+  for (std::size_t i = 0; i < weights.size(); i += 7) {
+    std::vector<test::RandomTensor> huge = weights;
+    for (float& value : huge[i].values) value *= 1e30F;
+    const auto model = ModelFile::parse(test::make_model_image(test::metadata_json(config), huge));
+    ASSERT_TRUE(model) << model.status().text();
+    for (const Precision precision : {Precision::kFloat32, Precision::kInt8}) {
+      EngineOptions options{64, 64, 1};
+      options.precision = precision;
+      const auto engine = prepare(*model, options);
+      Bench bench;
+      EXPECT_TRUE(bench.run(*engine)) << weights[i].name;
+      for (std::size_t p = 0; p < bench.metres.size(); ++p) {
+        const float metres = bench.metres[p];
+        ASSERT_EQ(bench.millimetres[p] == 0, !(metres > 0)) << weights[i].name << " at " << p;
+      }
+    }
+  }
+}
+
 }  // namespace
 }  // namespace lcdm

@@ -174,25 +174,32 @@ TEST(HalfWord, RoundsToNearestAndKeepsWhatIsInfiniteAndWhatIsNoNumber) {
   EXPECT_EQ(float16_bits(std::numeric_limits<float>::quiet_NaN()), 0x7E00U);
 }
 
-// So that a sum that overflowed shows as no depth, not as some.
+// So that a sum that overflowed shows as no depth, not as some: wherever in a row it is, in whole
+// vectors and at their ends.
 TEST(MatrixKernel, NoNumberStaysNone) {
+  constexpr int kDepth = 76;
   for_each_isa([] {
-    const float row[] = {std::numeric_limits<float>::quiet_NaN(), 0, 0, 0};
     for (const Precision precision :
          {Precision::kFloat32, Precision::kFloat16, Precision::kBfloat16, Precision::kInt8}) {
       // The stand-in for halves has no such numbers.
       const bool halves = precision == Precision::kFloat16;
       if (support_of(precision) < (halves ? Support::kNative : Support::kSlow)) continue;
       const int columns = vector_lanes();
-      std::vector<float> packed(packed_floats(4, columns, precision));
+      std::vector<float> packed(packed_floats(kDepth, columns, precision));
       const PackedMatrix ones = pack_matrix(
-          4, columns, [](int, int) { return 1.0F; }, {}, packed, precision);
+          kDepth, columns, [](int, int) { return 1.0F; }, {}, packed, precision);
       for (const Activation activation :
            {Activation::kNone, Activation::kSilu, Activation::kElu, Activation::kRelu}) {
-        std::vector<float> out(static_cast<std::size_t>(columns));
-        multiply_rows({{row}, 1, 4, 4, 1}, ones, {out.data(), nullptr, columns, activation});
-        for (const float value : out) {
-          EXPECT_TRUE(std::isnan(value)) << to_string(precision) << static_cast<int>(activation);
+        for (int place = 0; place < kDepth; ++place) {
+          std::vector<float> row(kDepth);
+          row[static_cast<std::size_t>(place)] = std::numeric_limits<float>::quiet_NaN();
+          std::vector<float> out(static_cast<std::size_t>(columns));
+          multiply_rows({{row.data()}, 1, kDepth, kDepth, 1}, ones,
+                        {out.data(), nullptr, columns, activation});
+          for (const float value : out) {
+            ASSERT_TRUE(std::isnan(value))
+                << to_string(precision) << static_cast<int>(activation) << " at " << place;
+          }
         }
       }
     }
@@ -309,7 +316,7 @@ TEST(MatrixKernel, HalvesNeitherOverflowNorVanish) {
   for_each_isa([] {
     if (support_of(Precision::kFloat16) == Support::kNone) return;
     constexpr int kDepth = 64;
-    for (const float size : {1e-30F, 1e-10F, 1.0F, 1e10F, 1e30F}) {
+    for (const float size : {1e-30F, 1e-10F, 1.0F, 1e10F, 1e30F, 1.1e38F}) {
       const std::vector<float> a(kDepth, 3 * size);
       std::vector<float> packed(packed_floats(kDepth, 1, Precision::kFloat16));
       const PackedMatrix matrix = pack_matrix(

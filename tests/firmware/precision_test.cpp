@@ -15,10 +15,12 @@ struct Guard {
   const char* model;  // a released one
   Precision precision;
   double mean_log_difference;  // to fp32, over all frames
+  int camera_height = 480;     // of 640 pixels' width; 192: the wide input
 };
 
 std::string name_of(const Guard& guard) {
-  return std::string(guard.model) + "_" + to_string(guard.precision);
+  return std::string(guard.model) + "_" + to_string(guard.precision) + "_" +
+         std::to_string(guard.camera_height);
 }
 void PrintTo(const Guard& guard, std::ostream* out) { *out << name_of(guard); }
 
@@ -67,8 +69,8 @@ TEST_P(Precisions, StayNearFloatWithTheReleasedWeights) {
   const Result<ModelFile> model =
       ModelFile::load(std::string("model/weights/lcdm-") + guard.model + ".safetensors");
   ASSERT_TRUE(model) << model.status().text();
-  // At the size that a 4:3 camera gets.
-  const NetworkSize size = choose_network_size(model->config(), {.width = 640, .height = 480});
+  const NetworkSize size =
+      choose_network_size(model->config(), {.width = 640, .height = guard.camera_height});
   const CameraModel camera = CameraModel::from_field_of_view(size.width, size.height, 65);
   const FrameFormat format = {PixelFormat::kRgb24, size.width, size.height, 3 * size.width};
   EngineOptions options{size.width, size.height, 2};
@@ -102,7 +104,11 @@ INSTANTIATE_TEST_SUITE_P(, Precisions,
                                          Guard{"xxs", Precision::kInt8, 0.015},
                                          Guard{"xs", Precision::kFloat16, 0.005},
                                          Guard{"xs", Precision::kBfloat16, 0.005},
-                                         Guard{"xs", Precision::kInt8, 0.015}),
+                                         Guard{"xs", Precision::kInt8, 0.015},
+                                         Guard{"xxs", Precision::kBfloat16, 0.005, 192},
+                                         Guard{"xxs", Precision::kInt8, 0.015, 192},
+                                         Guard{"xs", Precision::kBfloat16, 0.005, 192},
+                                         Guard{"xs", Precision::kInt8, 0.015, 192}),
                          [](const auto& guard) { return name_of(guard.param); });
 
 }  // namespace

@@ -14,6 +14,7 @@
 #include "firmware/nn/engine.h"
 #include "model/folded_net.h"
 #include "tests/support/random_model.h"
+#include "tests/support/worse.h"
 
 namespace lcdm::model {
 namespace {
@@ -71,7 +72,7 @@ void expect_same(const std::string& layer, std::span<const float> got, const at:
   double worst = 0;
   double largest = 0;
   for (std::size_t i = 0; i < got.size(); ++i) {
-    worst = std::max(worst, std::abs(static_cast<double>(got[i]) - expected[i]));
+    worst = test::worse(worst, std::abs(static_cast<double>(got[i]) - expected[i]));
     largest = std::max(largest, std::abs(static_cast<double>(expected[i])));
   }
   EXPECT_GT(largest, 0) << layer << " is all zero: the test would prove nothing";
@@ -106,7 +107,7 @@ TEST_P(EngineGoldenTest, EveryLayerAndTheDepthAgreeWithLibTorch) {
   double worst = 0;
   for (std::size_t i = 0; i < depth->size(); ++i) {
     const double expected = want.data_ptr<float>()[i];
-    worst = std::max(worst, std::abs((*depth)[i] - expected) / expected);
+    worst = test::worse(worst, std::abs((*depth)[i] - expected) / expected);
   }
   EXPECT_LE(worst, kDepthTolerance);
   RecordProperty("layers", static_cast<int>(reference.outputs().size()));

@@ -11,6 +11,7 @@
 #include "firmware/nn/engine.h"
 #include "firmware/nn/noise.h"
 #include "tests/support/random_model.h"
+#include "tests/support/worse.h"
 #include "tests/support/temporary_folder.h"
 
 namespace lcdm::model {
@@ -75,7 +76,7 @@ TEST_P(OnnxExport, GivesTheEnginesDepthInOnnxRuntime) {
   ASSERT_EQ(ours->size(), theirs.size());
   double worst = 0;
   for (std::size_t i = 0; i < theirs.size(); ++i) {
-    worst = std::max(worst, std::abs(static_cast<double>((*ours)[i]) - theirs[i]) / theirs[i]);
+    worst = test::worse(worst, std::abs(static_cast<double>((*ours)[i]) - theirs[i]) / theirs[i]);
   }
   EXPECT_LE(worst, 1e-4);
   std::printf("worst relative depth difference %.1e\n", worst);

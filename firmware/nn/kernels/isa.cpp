@@ -5,6 +5,8 @@
 #include <cstdlib>
 #include <string_view>
 
+#include "firmware/nn/kernels/matrix.h"
+
 // clang-format off
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "firmware/nn/kernels/isa.cpp"
@@ -30,6 +32,10 @@ HWY_EXPORT(own_name);
 
 namespace {
 
+// Highway's names; the second for a set that the kernels are not compiled for by itself.
+constexpr char kAvx512[] = "AVX3";
+constexpr char kWithoutBfloat16[] = "AVX3_DL";
+
 bool same_but_for_case(std::string_view a, std::string_view b) {
   return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](unsigned char x, unsigned char y) {
     return std::tolower(x) == std::tolower(y);
@@ -51,14 +57,19 @@ std::vector<std::string> isa_names() {
 Status force_isa(const std::string& name) {
   hwy::SetSupportedTargetsForTest(0);  // those of the processor again
   hwy::GetChosenTarget().DeInit();     // chooses anew when the next kernel is called
+  forgo_bfloat16(false);
+  const bool forgo = same_but_for_case(name, kWithoutBfloat16);
   std::string known;
   for (const auto target : hwy::SupportedAndGeneratedTargets()) {
     const char* each = hwy::TargetName(target);
-    if (same_but_for_case(each, name)) {
+    const bool avx512 = same_but_for_case(each, kAvx512);
+    if (same_but_for_case(each, name) || (forgo && avx512)) {
       hwy::SetSupportedTargetsForTest(target);
+      forgo_bfloat16(forgo);
       return Status::ok();
     }
     known += (known.empty() ? "" : ", ") + std::string(each);
+    if (avx512) known += std::string(", ") + kWithoutBfloat16;
   }
   return Status::error(StatusCode::kInvalidInput,
                        "LCDM_ISA=%.40s: no such instruction set here; there are %s", name.c_str(),

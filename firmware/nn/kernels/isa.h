@@ -15,7 +15,8 @@ const char* isa_name();
 std::vector<std::string> isa_names();
 
 // From now on all kernels run with the one called so, in any case; what was packed for another is
-// useless then. To be called while none of them runs.
+// useless then. AVX3_DL, on x86, is AVX-512 without products of bfloat16, as Intel's Ice Lake has
+// it. To be called while none of them runs.
 // kInvalidInput: this processor or this program has none of that name; the text says which there
 // are.
 Status force_isa(const std::string& name);

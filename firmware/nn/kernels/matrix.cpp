@@ -103,17 +103,21 @@ namespace {
 
 int padded(int columns) { return (columns + vector_lanes() - 1) / vector_lanes() * vector_lanes(); }
 
+bool bfloat16_forgone = false;
+
 // AVX-512 and NEON are older than these instructions of theirs.
 bool processor_has(Precision precision) {
 #if defined(__x86_64__)
-  return precision == Precision::kBfloat16 ? __builtin_cpu_supports("avx512bf16") != 0
-                                           : __builtin_cpu_supports("avx512vnni") != 0;
+  if (precision != Precision::kBfloat16) return __builtin_cpu_supports("avx512vnni") != 0;
+  return !bfloat16_forgone && __builtin_cpu_supports("avx512bf16") != 0;
 #else
   return precision == Precision::kInt8 ? os::has_dot_product() : os::has_half_arithmetic();
 #endif
 }
 
 }  // namespace
+
+void forgo_bfloat16(bool forgone) { bfloat16_forgone = forgone; }
 
 Support support_of(Precision precision) {
   if (precision == Precision::kFloat32) return Support::kNative;

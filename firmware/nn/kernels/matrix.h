@@ -68,6 +68,9 @@ int vector_lanes();
 // instructions has no other path for them.
 enum class Support : std::uint8_t { kNone, kSlow, kNative };
 Support support_of(Precision precision);
+// From now on as on an AVX-512 processor without products of bfloat16, or with them again
+// (force_isa).
+void forgo_bfloat16(bool forgone);
 // The one asked for where it is native, else the next more exact one.
 Precision native_precision(Precision wanted);
 // The same for rows of `depth` numbers in so many runs: they must fit it too.
