@@ -1,12 +1,19 @@
 #include "model/ablation.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <functional>
+#include <map>
+#include <string_view>
 
 #include "firmware/base/file.h"
+#include "firmware/nn/network.h"
+#include "firmware/nn/sampler.h"
 #include "model/checkpoint.h"
+#include "model/csv.h"
 #include "model/dataset_files.h"
 #include "model/evaluation.h"
 #include "model/html_page.h"
@@ -23,6 +30,7 @@ constexpr const char* kWithoutNormals = "ID3 + depth";
 constexpr const char* kAll = "ID5 all";
 constexpr int kOwnSteps = 2;  // of both presets' samplers
 constexpr std::size_t kMostRecipeBytes = 1U << 16;
+constexpr int kTimedFrames = 30;
 
 // What one network reached on one pack with one number of steps.
 struct Score {
@@ -34,17 +42,18 @@ struct Score {
   Metrics metrics;
 };
 
+// What a frame takes with one number of steps.
+struct Cost {
+  double gmac = 0;
+  double milliseconds = 0;
+};
+using Costs = std::map<int, Cost>;  // by that number
+
 // The network's own: rows of several tables that name the same network share its training.
 std::string folder_name(const AblationRow& row, int seed) {
   std::string name = row.name + " seed" + std::to_string(seed);
   std::replace(name.begin(), name.end(), ' ', '-');
   return name;
-}
-
-// Everything that decides what a row becomes, in words.
-std::string text_of(const Recipe& recipe, const Data& data) {
-  return training_text(recipe, data.packs) + "medleys painted with " +
-         std::to_string(data.photographs) + " photographs\n";
 }
 
 // Keeps in a new folder what its network is trained by; kInvalidInput: another one began there.
@@ -67,7 +76,7 @@ Status claim(const fs::path& folder, const std::string& recipe) {
 // Trains what `folder` has not finished.
 Status train_row(const Recipe& recipe, const Data& data, const Compute& compute,
                  const fs::path& folder) {
-  LCDM_RETURN_IF_ERROR(claim(folder, text_of(recipe, data)));
+  LCDM_RETURN_IF_ERROR(claim(folder, training_text(recipe, data.packs)));
   const auto trainer = Trainer::make(recipe, data.packs, compute);
   if (!trainer) return trainer.status();
   const std::string checkpoint = (folder / "checkpoint.safetensors").string();
@@ -109,13 +118,69 @@ Status measure_row(const AblationRow& row, int seed, double share, const Data& d
   return Status::ok();
 }
 
-Status write_csv(const fs::path& path, const std::vector<Score>& scores) {
-  std::string text = "table,row,steps,seed,set,abs_rel,d1\n";
+// Wide pictures of the size that the networks are measured at.
+cv::Size wide_size(const Recipe& recipe) {
+  const double share = recipe.stages.back().share;
+  return {scaled_side(kDeployed[0][0], share), scaled_side(kDeployed[0][1], share)};
+}
+
+// NaN where there is no such network. Of the 0-step answer, which the device does not have: a 3x3
+// convolution in the head's place.
+double gmac_of(ModelConfig config, cv::Size size, int steps) {
+  config.steps = sampler_times(config.preset, std::max(1, steps));
+  const Result<Network> network = Network::build(config, size.width, size.height);
+  if (!network) return std::nan("");
+  if (steps > 0) return static_cast<double>(network->macs()) * 1e-9;
+  std::int64_t macs = std::int64_t{9} * config.condition_channels * size.area();
+  const int condition = network->find("decoder.condition");
+  for (int i = 0; i <= condition; ++i) macs += network->layer(i).macs;
+  return static_cast<double>(macs) * 1e-9;
+}
+
+// The median of several calls.
+double milliseconds_of(const std::function<void()>& call) {
+  std::vector<double> times;
+  for (int i = 0; i < kTimedFrames; ++i) {
+    const auto begin = std::chrono::steady_clock::now();
+    call();
+    times.push_back(
+        std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin)
+            .count());
+  }
+  std::sort(times.begin(), times.end());
+  return times[times.size() / 2];
+}
+
+// Of all numbers of steps in `rows`. Weights make no difference: nothing need be trained.
+Costs costs_of(const Recipe& recipe, const std::vector<AblationRow>& rows) {
+  const torch::NoGradGuard no_grad;
+  DepthNetwork network(model_config_of(recipe));
+  network->eval();
+  const cv::Size size = wide_size(recipe);
+  const torch::Tensor picture = torch::full({1, 3, size.height, size.width}, 0.5F)
+                                    .contiguous(torch::MemoryFormat::ChannelsLast);
+  torch::Tensor condition;
+  const double shared = milliseconds_of([&] { condition = network->condition_of(picture); });
+  Costs costs;
+  for (const AblationRow& row : rows) {
+    for (const int steps : row.steps) {
+      if (costs.count(steps) > 0) continue;
+      const double sampler = milliseconds_of([&] { network->sample(condition, steps); });
+      costs[steps] = {gmac_of(network->config, size, steps), shared + sampler};
+    }
+  }
+  return costs;
+}
+
+Status write_csv(const fs::path& path, const std::vector<Score>& scores, const Costs& costs) {
+  std::string text = "table,row,steps,seed,set,abs_rel,d1,gmac,milliseconds\n";
   for (const Score& s : scores) {
-    char figures[64];
-    std::snprintf(figures, sizeof(figures), "%.5f,%.5f\n", s.metrics.abs_rel, s.metrics.delta1);
-    text += s.table + "," + s.row + "," + std::to_string(s.steps) + "," + std::to_string(s.seed) +
-            "," + s.set + "," + figures;
+    const Cost& cost = costs.at(s.steps);
+    char figures[96];
+    std::snprintf(figures, sizeof(figures), "%.5f,%.5f,%.5g,%.4g\n", s.metrics.abs_rel,
+                  s.metrics.delta1, cost.gmac, cost.milliseconds);
+    text += s.table + "," + csv_cell(s.row) + "," + std::to_string(s.steps) + "," +
+            std::to_string(s.seed) + "," + csv_cell(s.set) + "," + figures;
   }
   return replace_file(path.string(), text);
 }
@@ -132,8 +197,9 @@ std::string mean_and_spread(const std::vector<double>& values) {
   return number_text(mean, 3) + " ± " + number_text(std::sqrt(square), 2);
 }
 
-// One line per row and number of steps, one column per set.
-void add_table(HtmlPage& page, const std::string& table, const std::vector<Score>& scores) {
+// One line per row and number of steps, one column per set; where steps are compared, their cost.
+void add_table(HtmlPage& page, const std::string& table, const std::vector<Score>& scores,
+               const Costs& costs) {
   std::vector<std::string> sets;
   std::vector<std::pair<std::string, int>> lines;
   for (const Score& s : scores) {
@@ -145,6 +211,8 @@ void add_table(HtmlPage& page, const std::string& table, const std::vector<Score
   if (lines.empty()) return;
   std::vector<std::string> header = {"network, sampling steps"};
   for (const std::string& set : sets) header.push_back(set + ": AbsRel / d1");
+  const bool with_costs = table == "steps";
+  if (with_costs) header.insert(header.end(), {"GMAC", "LibTorch, ms"});
   std::vector<std::vector<std::string>> rows;
   for (const auto& [row, steps] : lines) {
     rows.push_back({row + ", " + std::to_string(steps)});
@@ -158,12 +226,23 @@ void add_table(HtmlPage& page, const std::string& table, const std::vector<Score
       }
       rows.back().push_back(mean_and_spread(abs_rel) + " / " + mean_and_spread(delta1));
     }
+    if (!with_costs) continue;
+    rows.back().push_back(number_text(costs.at(steps).gmac, 4));
+    rows.back().push_back(number_text(costs.at(steps).milliseconds, 3));
   }
   page.table(header, rows);
 }
 
+std::string cost_note(const Recipe& recipe) {
+  const cv::Size size = wide_size(recipe);
+  return "Cost of a frame of " + std::to_string(size.width) + "x" + std::to_string(size.height) +
+         "; LibTorch on this machine's processor with --threads " +
+         std::to_string(at::get_num_threads()) + ", median of " + std::to_string(kTimedFrames) +
+         " frames.";
+}
+
 Status write_page(const fs::path& path, const Recipe& recipe, const AblationOptions& options,
-                  const std::vector<Score>& scores) {
+                  const std::vector<Score>& scores, const Costs& costs) {
   HtmlPage page("Ablations");
   page.paragraph(
       "Networks trained alike but for the losses named; median-scaled, on the validation "
@@ -180,7 +259,8 @@ Status write_page(const fs::path& path, const Recipe& recipe, const AblationOpti
       continue;
     }
     page.heading(title);
-    add_table(page, table, scores);
+    add_table(page, table, scores, costs);
+    if (std::string_view(table) == "steps") page.note(cost_note(recipe));
   }
   return page.write(path.string());
 }
@@ -234,10 +314,12 @@ std::vector<AblationRow> ablation_rows(const LossWeights& losses,
 
 Status ablate(const Recipe& recipe, const Data& data, const Compute& compute,
               const AblationOptions& options) {
+  const std::vector<AblationRow> rows = ablation_rows(recipe.losses, options.tables);
+  Costs costs;
   std::vector<Score> scores;
   // Seed by seed: one that is stopped leaves whole tables.
   for (int seed = 1; seed <= options.seeds; ++seed) {
-    for (const AblationRow& row : ablation_rows(recipe.losses, options.tables)) {
+    for (const AblationRow& row : rows) {
       Recipe one = recipe;
       one.seed = static_cast<std::uint64_t>(seed);
       one.losses = row.losses;
@@ -246,9 +328,10 @@ Status ablate(const Recipe& recipe, const Data& data, const Compute& compute,
       LCDM_RETURN_IF_ERROR(train_row(one, data, compute, folder));
       LCDM_RETURN_IF_ERROR(
           measure_row(row, seed, recipe.stages.back().share, data, folder, scores));
+      if (costs.empty()) costs = costs_of(recipe, rows);
       const fs::path root = options.folder;
-      LCDM_RETURN_IF_ERROR(write_csv(root / "ablation.csv", scores));
-      LCDM_RETURN_IF_ERROR(write_page(root / "ablation.html", recipe, options, scores));
+      LCDM_RETURN_IF_ERROR(write_csv(root / "ablation.csv", scores, costs));
+      LCDM_RETURN_IF_ERROR(write_page(root / "ablation.html", recipe, options, scores, costs));
     }
   }
   return Status::ok();

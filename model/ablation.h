@@ -31,7 +31,9 @@ std::vector<AblationRow> ablation_rows(const LossWeights& losses,
 // Trains each row with each seed in a folder of its own (finished ones are only measured, one that
 // was stopped goes on; its recipe.txt says by what, and nothing else goes on there), then writes
 // ablation.csv and ablation.html: AbsRel and d1 on the validation part of every pack, mean and
-// spread over the seeds. Errors as Trainer::advance; kInvalidInput: a folder is of another recipe.
+// spread over the seeds, and what a frame costs at each number of sampling steps (multiply-adds;
+// milliseconds of LibTorch, taken anew each time). Errors as Trainer::advance; kInvalidInput: a
+// folder is of another recipe.
 Status ablate(const Recipe& recipe, const Data& data, const Compute& compute,
               const AblationOptions& options);
 

@@ -27,17 +27,6 @@ Result<std::string> read_text(const std::string& path) {
   return text;
 }
 
-std::vector<std::string> cells_of(std::string_view line) {
-  if (line.ends_with('\r')) line.remove_suffix(1);
-  std::vector<std::string> cells;
-  while (true) {
-    const std::size_t comma = line.find(',');
-    cells.emplace_back(line.substr(0, comma));
-    if (comma == std::string_view::npos) return cells;
-    line.remove_prefix(comma + 1);
-  }
-}
-
 // The place of `column` in the header.
 Result<std::size_t> find_column(const CsvTable& table, const std::string& column) {
   const auto found = std::find(table.header.begin(), table.header.end(), column);
@@ -90,22 +79,51 @@ Result<CsvTable> read_csv(const std::string& path) {
   CsvTable table;
   table.path = path;
   std::string_view rest = *text;
-  for (std::size_t end = rest.find('\n'); end != std::string_view::npos; end = rest.find('\n')) {
-    std::vector<std::string> cells = cells_of(rest.substr(0, end));
-    rest.remove_prefix(end + 1);
+  while (auto cells = take_csv_line(rest)) {
     if (table.header.empty()) {
-      table.header = std::move(cells);
-    } else if (cells.size() == table.header.size()) {
-      table.rows.push_back(std::move(cells));
+      table.header = std::move(*cells);
+    } else if (cells->size() == table.header.size()) {
+      table.rows.push_back(std::move(*cells));
     } else {
       return Status::error(StatusCode::kCorrupt, "%s:%zu: %zu cells under a header of %zu",
-                           path.c_str(), table.rows.size() + 2, cells.size(), table.header.size());
+                           path.c_str(), table.rows.size() + 2, cells->size(), table.header.size());
     }
   }
   if (table.header.empty()) {
     return Status::error(StatusCode::kCorrupt, "%s:1: no header line", path.c_str());
   }
   return table;
+}
+
+std::optional<std::vector<std::string>> take_csv_line(std::string_view& text) {
+  std::vector<std::string> cells(1);
+  bool quoted = false;
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    const char c = text[i];
+    const std::string_view rest = text.substr(i + 1);
+    if (quoted && c == '"' && rest.starts_with('"')) {
+      cells.back() += text[++i];
+    } else if (c == '"' && (quoted || cells.back().empty())) {
+      quoted = !quoted;
+    } else if (quoted) {
+      cells.back() += c;
+    } else if (c == ',') {
+      cells.emplace_back();
+    } else if (c == '\n') {
+      text.remove_prefix(i + 1);
+      return cells;
+    } else if (c != '\r' || !rest.starts_with('\n')) {
+      cells.back() += c;
+    }
+  }
+  return std::nullopt;
+}
+
+std::string csv_cell(const std::string& text) {
+  if (text.find_first_of(",\"\r\n") == std::string::npos) return text;
+  std::string cell = "\"";
+  for (const char c : text) cell += c == '"' ? "\"\"" : std::string(1, c);
+  return cell + '"';
 }
 
 }  // namespace lcdm::model

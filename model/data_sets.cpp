@@ -27,20 +27,33 @@ enum class Purpose : std::uint8_t { kTrain, kTest };
 // Wider pictures are reduced: never for a test.
 int width_for(Purpose purpose) { return purpose == Purpose::kTrain ? 640 : kFullWidth; }
 
-// What teach wrote beside its maps, {"align": "scale"}; without a file they are metres.
-Result<Alignment> alignment_in(const fs::path& maps) {
+// What teach wrote beside its maps, {"align": "scale", "licence": "..."}. Without a file they are
+// metres; without a licence nothing is known of one.
+struct TeacherNote {
+  Alignment alignment = Alignment::kNone;
+  std::string licence;
+};
+
+Result<TeacherNote> note_beside(const fs::path& maps) {
   const fs::path file = maps / "teacher.json";
-  if (!fs::exists(file)) return Alignment::kNone;
+  TeacherNote note;
+  if (!fs::exists(file)) return note;
   const Result<std::string> text = dataset::read_bytes(file, kMostTeacherBytes);
   if (!text) return text.status();
   const Result<JsonValue> json = parse_json(*text);
-  const JsonValue* align = json && json->items().size() == 1 ? json->find("align") : nullptr;
+  const JsonValue* align = json ? json->find("align") : nullptr;
+  const JsonValue* licence = json ? json->find("licence") : nullptr;
   const std::string name(align == nullptr ? "" : align->text().value_or(""));
   const auto found = alignment_names().find(name);
-  if (found != alignment_names().end()) return found->second;
-  return Status::error(StatusCode::kInvalidInput,
-                       "%s: must be {\"align\": \"none\"}, or \"scale\" or \"affine\"",
-                       file.c_str());
+  if (found == alignment_names().end() || json->items().size() != (licence == nullptr ? 1U : 2U)) {
+    return Status::error(StatusCode::kInvalidInput,
+                         "%s: must be {\"align\": \"none\"}, or \"scale\" or \"affine\", and may "
+                         "have a \"licence\"",
+                         file.c_str());
+  }
+  note.alignment = found->second;
+  if (licence != nullptr) note.licence = licence->text().value_or("");
+  return note;
 }
 
 // A set in one order, split as packs are: what validates has no neighbours that train.
@@ -108,20 +121,23 @@ NyuDepthOptions nyu_options(Purpose purpose) {
   return options;
 }
 
-// Where the entry leaves it open, what the maps need is what teach wrote beside them.
-Status find_alignment(CatalogueEntry& entry, const fs::path& root) {
-  if (entry.use.teacher != Teacher::kMaps || entry.says_align) return Status::ok();
+// Where the entry leaves it open, what the maps need is what teach wrote beside them. Whoever
+// learns from a teacher's maps has its licence to keep.
+Status heed_note(CatalogueEntry& entry, const fs::path& root, std::string& licence) {
+  if (entry.use.teacher != Teacher::kMaps) return Status::ok();
   const fs::path maps =
       entry.form == Form::kPack ? root / entry.path / entry.use.maps : root / entry.use.maps;
-  const Result<Alignment> alignment = alignment_in(maps);
-  if (!alignment) return alignment.status();
-  entry.use.alignment = *alignment;
+  const Result<TeacherNote> note = note_beside(maps);
+  if (!note) return note.status();
+  if (!entry.says_align) entry.use.alignment = note->alignment;
+  if (!note->licence.empty() && licence.find(note->licence) == std::string::npos) {
+    licence += "; taught by maps of a network under: " + note->licence;
+  }
   return Status::ok();
 }
 
-Result<Pack> open_entry(CatalogueEntry entry, const fs::path& root, Purpose purpose,
+Result<Pack> open_entry(const CatalogueEntry& entry, const fs::path& root, Purpose purpose,
                         std::size_t every) {
-  LCDM_RETURN_IF_ERROR(find_alignment(entry, root));
   if (entry.form == Form::kPack) {
     return load_pack(root, entry.use, width_for(purpose), every);
   }
@@ -182,6 +198,9 @@ void validate_on_all(Pack& pack) {
 }
 
 void add(Data& data, Pack pack, const Protocol& protocol) {
+  // A shift nobody knows is nothing to measure by: the right depth would look wrong.
+  const bool shifted = pack.use.alignment == Alignment::kAffine;
+  if (pack.use.teacher == Teacher::kMaps && shifted) pack.validation.clear();
   data.packs.push_back(std::move(pack));
   data.protocols.push_back(protocol);
 }
@@ -193,7 +212,7 @@ void add_rendered(Data& data, Rendering rendering, const RenderedUse& use) {
   options.train_frames = use.frames;
   options.wide_share = use.wide_share;
   options.tall_share = use.tall_share;
-  data.photographs = options.photographs = use_photographs_of(data.packs, use.photographs);
+  options.photographs = use_photographs_of(data.packs, use.photographs);
   add(data, rendered_pack(options), *protocol_named("scene"));
 }
 
@@ -239,7 +258,8 @@ Result<Data> load_training_data(const DataOptions& options) {
   if (!catalogue) return catalogue.status();
   Data data;
   data.licence = catalogue->licence;
-  const auto take = [&](const CatalogueEntry& entry, const fs::path& root) -> Status {
+  const auto take = [&](CatalogueEntry entry, const fs::path& root) -> Status {
+    LCDM_RETURN_IF_ERROR(heed_note(entry, root, data.licence));
     Result<Pack> pack = open_entry(entry, root, Purpose::kTrain, options.every);
     if (!pack) return pack.status();
     const bool trains = entry.use.wide_share + entry.use.tall_share > 0;
@@ -277,7 +297,8 @@ Result<Data> load_test_data(const DataOptions& options) {
   if (!catalogue) return catalogue.status();
   Data data;
   data.licence = catalogue->licence;
-  for (const CatalogueEntry& entry : catalogue->test) {
+  for (CatalogueEntry entry : catalogue->test) {
+    LCDM_RETURN_IF_ERROR(heed_note(entry, catalogue->root, data.licence));
     Result<Pack> pack = open_entry(entry, catalogue->root, Purpose::kTest, 1);
     if (!pack) return pack.status();
     validate_on_all(*pack);

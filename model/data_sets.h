@@ -27,7 +27,6 @@ struct Data {
   std::string licence;
   std::vector<Pack> packs;
   std::vector<Protocol> protocols;  // of each pack
-  int photographs = 0;              // that medleys are painted with
 };
 // The training packs, each split into training and validation, the renderings last.
 Result<Data> load_training_data(const DataOptions& options);

@@ -17,7 +17,7 @@ double millions(const torch::nn::Module& network) {
   return static_cast<double>(count) * 1e-6;
 }
 
-// Of the program so far, the packs included.
+// Of the host's memory: the program's so far, the packs included.
 double peak_gigabytes() {
   rusage usage{};
   getrusage(RUSAGE_SELF, &usage);
@@ -90,7 +90,8 @@ Status dry_run(const Recipe& recipe, const std::vector<Pack>& packs, const Compu
     pictures += steps * cost->pictures;
   }
   print_networks(model_config_of(recipe), recipe);
-  std::printf("memory         %.2f GB at the most so far, the packs included\n", peak_gigabytes());
+  std::printf("host memory    %.2f GB at the most so far, the packs included%s\n", peak_gigabytes(),
+              compute.device.is_cuda() ? "; the GPU's is not counted (nvidia-smi tells)" : "");
   std::printf("expected time  %.1f hours for %.0f pictures\n", hours, pictures);
   return Status::ok();
 }

@@ -9,7 +9,8 @@
 
 namespace lcdm::model {
 
-// Prints parameters, MACs, the memory in use and the expected time. Errors as Trainer::advance.
+// Prints parameters, MACs, the host memory in use and the expected time. Errors as
+// Trainer::advance.
 Status dry_run(const Recipe& recipe, const std::vector<Pack>& packs, const Compute& compute);
 
 }  // namespace lcdm::model

@@ -6,6 +6,7 @@
 #include "firmware/base/file.h"
 #include "model/checkpoint.h"
 #include "model/commands.h"
+#include "model/csv.h"
 #include "model/data_sets.h"
 #include "model/evaluation.h"
 
@@ -48,7 +49,8 @@ class FrameTable {
       char figures[160];
       std::snprintf(figures, sizeof(figures), "%.6g,%.6g,%.6g,%.6g,%.6g,%.6g,%.6g\n", m.abs_rel,
                     m.sq_rel, m.rmse, m.rmse_log, m.delta1, m.delta2, m.delta3);
-      text_ += set + "," + estimate + "," + frame.name + "," + figures;
+      text_ +=
+          csv_cell(set) + "," + csv_cell(estimate) + "," + csv_cell(frame.name) + "," + figures;
     }
   }
 
@@ -259,11 +261,12 @@ void add_evaluate(CLI::App& app, Status& status) {
       "evaluate", "Seven depth metrics beside a constant depth and the teacher's maps");
   auto options = std::make_shared<Options>();
   add_data_options(*command, options->data);
-  command->add_option("--checkpoint", options->checkpoint, "Training checkpoint")
-      ->check(CLI::ExistingFile);
+  auto* checkpoint = command->add_option("--checkpoint", options->checkpoint, "Training checkpoint")
+                         ->check(CLI::ExistingFile);
   command
       ->add_option("--steps", options->steps,
                    "Sampling steps of the checkpoint, such as 0 1 2 3 5 10 (0 to its own)")
+      ->needs(checkpoint)  // a model file has its own
       ->check(CLI::Range(0, ModelConfig::kDiffusionSteps));
   auto* model = command->add_option("--model", options->model, "Exported model file")
                     ->check(CLI::ExistingFile);
@@ -286,7 +289,9 @@ void add_evaluate(CLI::App& app, Status& status) {
                    "Motion blur of this many pixels of a 640 pixels wide picture")
       ->excludes(estimates)  // they are of the pictures as they were
       ->check(CLI::Range(0.0, 200.0));
-  command->add_flag("--test", options->test, "The test sets instead of the validation parts");
+  command->add_flag("--test", options->test, "The test sets instead of the validation parts")
+      ->excludes(command->get_option("--every"))  // every frame of theirs counts
+      ->excludes(command->get_option("--scene-frames"));
   command->add_flag("--no-scaling", options->no_scaling,
                     "Metres as they come, not scaled by the medians");
   command->add_option("--frames", options->frames, "CSV file for the figures of every frame");

@@ -76,6 +76,25 @@ Status run(const Options& options) {
   return export_onnx(*file, options.width, options.height, options.onnx);
 }
 
+// What a checkpoint becomes; a model file has all of it.
+void add_model_options(CLI::App& command, CLI::Option* checkpoint, Options& options) {
+  command.add_option("--output", options.output, "The .safetensors file to write")
+      ->needs(checkpoint);
+  command.add_option("--name", options.name, "Name in the file")->needs(checkpoint);
+  command.add_option("--card", options.card, "One paragraph: data, steps, metrics")
+      ->needs(checkpoint);
+  command
+      .add_option("--licence", options.licence,
+                  "That follows from the data, instead of the catalogue's it was trained on; "
+                  "needed where several checkpoints differ in it")
+      ->needs(checkpoint);
+  const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
+                                                   {"zeros", StartKind::kZeros}};
+  add_choice(command, "--start", options.start, starts,
+             "The sampler's start, where another than the training's does better on validation")
+      ->needs(checkpoint);
+}
+
 }  // namespace
 
 void add_export(CLI::App& app, Status& status) {
@@ -89,22 +108,15 @@ void add_export(CLI::App& app, Status& status) {
   command->add_option("--model", options->model, "Model file, where there is no checkpoint")
       ->check(CLI::ExistingFile)
       ->excludes(checkpoint);
-  command->add_option("--output", options->output, "The .safetensors file to write");
-  command->add_option("--onnx", options->onnx, "ONNX file to write, for other runtimes");
+  add_model_options(*command, checkpoint, *options);
+  auto* onnx =
+      command->add_option("--onnx", options->onnx, "ONNX file to write, for other runtimes");
   command->add_option("--width", options->width, "Of the ONNX graph's input")
+      ->needs(onnx)
       ->capture_default_str();
   command->add_option("--height", options->height, "Of the ONNX graph's input")
+      ->needs(onnx)
       ->capture_default_str();
-  command->add_option("--name", options->name, "Name in the file");
-  command->add_option("--card", options->card, "One paragraph: data, steps, metrics");
-  command->add_option(
-      "--licence", options->licence,
-      "That follows from the data, instead of the catalogue's it was trained on; needed "
-      "where several checkpoints differ in it");
-  const std::map<std::string, StartKind> starts = {{"noise", StartKind::kNoise},
-                                                   {"zeros", StartKind::kZeros}};
-  add_choice(*command, "--start", options->start, starts,
-             "The sampler's start, where another than the training's does better on validation");
   command->callback([options, &status] { status = run(*options); });
 }
 

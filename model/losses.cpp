@@ -83,18 +83,31 @@ torch::Tensor gradient_loss(const torch::Tensor& log_depth, const torch::Tensor&
 namespace {
 
 constexpr double kMostBeyond = 0.05;  // of an affine fit's pixels
+// Of inverse depth, its deviation over its mean: a flat student must not flatten its teacher.
+constexpr double kLeastSpread = 0.25;
+// Canonical metres between which an aligned map's median stays. A target that follows the student
+// holds no scale: without these ends it drifts until everything is as far as can be said.
+constexpr double kNearestMedian = 0.3;
+constexpr double kFarthestMedian = 30;
 
-// a and b of the least squares fit a x + b = y.
+// Scale and shift of inverse depth.
 struct Line {
   double a, b;
 };
-Line fit_line(const torch::Tensor& x, const torch::Tensor& y) {
-  const torch::Tensor x64 = x.to(torch::kFloat64);
-  const torch::Tensor y64 = y.to(torch::kFloat64);
-  const torch::Tensor dx = x64 - x64.mean();
-  const double spread = dx.square().sum().item<double>();
-  const double a = spread > 0 ? (dx * y64).sum().item<double>() / spread : 0;
-  return {a, (y64.mean() - a * x64.mean()).item<double>()};
+
+// By means and deviations, not by least squares: those would shrink the map by how badly the two
+// agree, and the student with it. No scale where near and far are swapped.
+Line line_to(const torch::Tensor& teacher, const torch::Tensor& student) {
+  const torch::Tensor x = teacher.to(torch::kFloat64);
+  const torch::Tensor y = student.to(torch::kFloat64);
+  const torch::Tensor dx = x - x.mean();
+  const double spread = dx.square().mean().item<double>();
+  const double mean = y.mean().item<double>();
+  if (!(spread > 0) || (dx * y).mean().item<double>() < 0) return {0, mean};
+  const double wanted =
+      std::max((y - mean).square().mean().sqrt().item<double>(), kLeastSpread * mean);
+  const double a = wanted / std::sqrt(spread);
+  return {a, mean - a * x.mean().item<double>()};
 }
 
 // Inverse depth scaled and shifted; false where the fit turns near into far or leaves the range
@@ -103,7 +116,7 @@ bool align_affine(torch::Tensor log_target, const torch::Tensor& log_depth,
                   const torch::Tensor& mask) {
   const torch::Tensor teacher = torch::exp(-log_target);
   const Line line =
-      fit_line(teacher.masked_select(mask), torch::exp(-log_depth).masked_select(mask));
+      line_to(teacher.masked_select(mask), torch::exp(-log_depth).masked_select(mask));
   const torch::Tensor inverse = teacher * line.a + line.b;
   const torch::Tensor beyond = (inverse < 1 / kMaxDepth).masked_select(mask);
   if (line.a <= 0 || beyond.to(torch::kFloat64).mean().item<double>() > kMostBeyond) return false;
@@ -111,22 +124,30 @@ bool align_affine(torch::Tensor log_target, const torch::Tensor& log_depth,
   return true;
 }
 
+// [N, 1, 1, 1]; 0 where nothing is known.
+torch::Tensor medians(const torch::Tensor& values, const torch::Tensor& mask) {
+  const torch::Tensor known = torch::where(mask, values, NAN).flatten(1);
+  return std::get<0>(known.nanmedian(1)).nan_to_num().reshape({-1, 1, 1, 1});
+}
+
 }  // namespace
 
 torch::Tensor align_to_student(const torch::Tensor& log_target, const torch::Tensor& log_depth,
                                const torch::Tensor& mask, const torch::Tensor& alignment) {
   const torch::NoGradGuard no_grad;
-  const torch::Tensor gap = torch::where(mask, log_depth - log_target, NAN).flatten(1);
-  const torch::Tensor moved = torch::where(alignment != static_cast<std::int64_t>(Alignment::kNone),
-                                           std::get<0>(gap.nanmedian(1)).nan_to_num(), 0.0);
-  torch::Tensor out = log_target + moved.reshape({-1, 1, 1, 1});
+  const torch::Tensor follows =
+      (alignment != static_cast<std::int64_t>(Alignment::kNone)).reshape({-1, 1, 1, 1});
+  torch::Tensor out =
+      log_target + torch::where(follows, medians(log_depth - log_target, mask), 0.0);
   const torch::Tensor affine =
       (alignment == static_cast<std::int64_t>(Alignment::kAffine)).nonzero().cpu();
   for (std::int64_t i = 0; i < affine.size(0); ++i) {
     const std::int64_t b = affine[i].item<std::int64_t>();
     align_affine(out[b], log_depth[b], mask[b]);
   }
-  return out;
+  const torch::Tensor middle = medians(out, mask);
+  const torch::Tensor held = middle.clamp(std::log(kNearestMedian), std::log(kFarthestMedian));
+  return out + torch::where(follows, held - middle, 0.0);
 }
 
 DenoisingDraw draw_denoising(const DepthNetwork& network, at::Generator& generator,

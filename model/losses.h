@@ -64,9 +64,10 @@ torch::Tensor gradient_loss(const torch::Tensor& log_depth, const torch::Tensor&
                             const torch::Tensor& mask, const torch::Tensor& weight);
 
 // log_target brought to the student, who gets no gradient from it. `alignment` [B] int64 says how:
-// kScale moves an image so that its median error is 0; kAffine scales and shifts its inverse depth
-// by least squares, and falls back to kScale where that fit would be no depth: near turned into
-// far, or more than a few pixels beyond the farthest.
+// kScale moves an image so that its median error is 0; kAffine gives its inverse depth the mean and
+// the deviation of the student's (a quarter of the mean at least), and falls back to kScale where
+// that would be no depth: near turned into far, or more than a few pixels beyond the farthest.
+// Either way its median stays between .3 and 30 canonical metres.
 torch::Tensor align_to_student(const torch::Tensor& log_target, const torch::Tensor& log_depth,
                                const torch::Tensor& mask, const torch::Tensor& alignment);
 

@@ -38,6 +38,7 @@ struct PackUse {
   bool video = false;            // neighbouring frames are neighbours in time
   std::string maps = "teacher";  // the folder of a teacher's maps, unit 1/256 m
   Alignment alignment = Alignment::kNone;
+  int photographs = 0;  // that a rendering's medleys are painted with
 };
 
 struct Pack {

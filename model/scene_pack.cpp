@@ -81,6 +81,7 @@ Pack rendered_pack(const ScenePackOptions& options) {
   pack.use.teacher = Teacher::kRenderer;
   pack.use.wide_share = options.wide_share;
   pack.use.tall_share = options.tall_share;
+  pack.use.photographs = options.photographs;
   pack.train.resize(options.train_frames);
   std::iota(pack.train.begin(), pack.train.end(), std::size_t{0});
   pack.validation.resize(options.validation_frames);

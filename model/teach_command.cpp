@@ -8,6 +8,7 @@
 #include "model/commands.h"
 #include "model/data_sets.h"
 #include "model/evaluation.h"
+#include "model/safetensors.h"
 #include "model/torchscript_teacher.h"
 
 namespace lcdm::model {
@@ -57,19 +58,36 @@ Result<Estimator> teacher_of(const Options& options) {
   });
 }
 
+// Of our own networks; of a module nothing is known.
+Result<std::string> licence_of(const Options& options) {
+  if (!options.model.empty()) {
+    const Result<ModelFile> file = ModelFile::load(options.model);
+    if (!file) return file.status();
+    return file->config().licence;
+  }
+  if (options.checkpoint.empty()) return std::string();
+  const Result<DepthNetwork> network = load_checkpoint(options.checkpoint);
+  if (!network) return network.status();
+  return (*network)->config.licence;
+}
+
 // What of the maps is not to be believed, kept beside them: whoever trains on them aligns that. The
-// scale of our own networks is relative.
-Status write_alignment(const fs::path& folder, const Options& options) {
+// scale of our own networks is relative. And under which licence they are.
+Status write_note(const fs::path& folder, const Options& options) {
   using Gives = TorchscriptOptions::Gives;
   const Gives gives =
       options.torchscript.file.empty() ? Gives::kInverse : options.torchscript.gives;
   const Alignment alignment = gives == Gives::kDepth     ? Alignment::kNone
                               : gives == Gives::kInverse ? Alignment::kScale
                                                          : Alignment::kAffine;
+  const Result<std::string> licence = licence_of(options);
+  if (!licence) return licence.status();
   std::string text;
   for (const auto& [name, value] : alignment_names()) {
-    if (value == alignment) text = "{\"align\": \"" + name + "\"}\n";
+    if (value == alignment) text = "{\"align\": \"" + name + "\"";
   }
+  if (!licence->empty()) text += ", \"licence\": " + json_quoted(*licence);
+  text += "}\n";
   std::error_code error;
   fs::create_directories(folder, error);
   return write_file((folder / "teacher.json").string(), text);
@@ -87,7 +105,7 @@ Status run(const Options& options) {
   const Result<Pack> pack = load_pack(folder.parent_path(), use, kFullWidth);
   if (!pack) return pack.status();
   const fs::path output = options.output.empty() ? folder / "teacher" : fs::path(options.output);
-  LCDM_RETURN_IF_ERROR(write_alignment(output, options));
+  LCDM_RETURN_IF_ERROR(write_note(output, options));
   std::size_t without = 0;
   for (std::size_t i = 0; i < pack->frames->size(); ++i) {
     const Result<PackFrame> frame = pack->frames->read(i);

@@ -98,10 +98,14 @@ class Run {
 
   Status train(Processes& processes) {
     std::optional<TrainingLog> log;
-    if (leads_) log.emplace(folder_, trainer_.step(), recipe_.steps);
+    const std::int64_t begun = trainer_.step();
+    if (leads_) log.emplace(folder_, begun, recipe_.steps);
     while (!trainer_.done() && !processes.any(stop_asked != 0)) {
       const Result<Losses> losses = trainer_.advance();
-      if (!losses) return losses.status();
+      if (!losses) {
+        if (leads_ && trainer_.step() > begun && is_of_data(losses.status())) save_for_later();
+        return losses.status();
+      }
       if (!log) continue;
       log->add(trainer_, *losses);
       if (is_time(options_.validate_every)) LCDM_RETURN_IF_ERROR(keep_the_best(*log));
@@ -118,6 +122,22 @@ class Run {
   }
 
  private:
+  // Whether frames could not be read: the weights are then as good as they were. A fault of the
+  // training itself (kCorrupt too) may have spoilt them, or the statistics, before it was noticed.
+  bool is_of_data(const Status& fault) const {
+    return fault.code() != StatusCode::kCorrupt || !trainer_.frames().check();
+  }
+
+  void save_for_later() const {
+    const Status saved = trainer_.save(last());
+    if (!saved) {
+      std::fprintf(stderr, "what was trained is lost: %s\n", saved.text());
+      return;
+    }
+    std::fprintf(stderr, "saved at step %lld: mend the data and go on with --resume\n",
+                 static_cast<long long>(trainer_.step()));
+  }
+
   bool is_time(std::int64_t every) const {
     return every > 0 && (trainer_.step() % every == 0 || trainer_.done());
   }
@@ -154,6 +174,16 @@ std::string licence_of(const ModelConfig& config, const Data& data) {
   return data.licence + "; started from weights under: " + config.licence;
 }
 
+// Ctrl-C, SIGTERM and a closed terminal stop it behind its step. One that is ignored at the start,
+// as SIGHUP under nohup, stays so.
+void stop_on_signals() {
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
+    const auto before = std::signal(signal, [](int) { stop_asked = 1; });
+    if (before == SIG_IGN) std::signal(signal, SIG_IGN);
+  }
+  std::signal(SIGPIPE, SIG_IGN);  // who reads what it prints may go: it trains on
+}
+
 // A new training would replace the folder's checkpoint, best state and curve.
 Status require_unused(const Options& options) {
   const bool used =
@@ -174,10 +204,15 @@ Status require_validation(const Options& options, const Data& data) {
                        "train; leave it out, or give more data");
 }
 
-Status resume(Trainer& trainer, const std::string& checkpoint, bool leads) {
+Status resume(const Options& options, Trainer& trainer, const std::string& checkpoint, bool leads) {
   const Result<std::string> changed = trainer.resume(checkpoint);
   if (!changed) return changed.status();
   if (!leads) return Status::ok();
+  for (const std::string& start : {options.from, options.encoder_weights, options.pose_weights}) {
+    if (start.empty()) continue;
+    std::fprintf(stderr, "%s is not used with --resume: goes on from %s\n", start.c_str(),
+                 checkpoint.c_str());
+  }
   if (!changed->empty()) {
     std::fprintf(stderr, "goes on with other options or data than it had:\n%s", changed->c_str());
   }
@@ -210,7 +245,7 @@ Status run(const Options& options) {
   const bool leads = compute->processes->rank() == 0;
   Run training(options, *recipe, *data, **trainer, leads);
   if (options.resume) {
-    LCDM_RETURN_IF_ERROR(resume(**trainer, training.last(), leads));
+    LCDM_RETURN_IF_ERROR(resume(options, **trainer, training.last(), leads));
   } else {
     LCDM_RETURN_IF_ERROR(start_from_trained(options, **trainer));
   }
@@ -222,15 +257,15 @@ Status run(const Options& options) {
                 config.variable_mean, config.variable_std,
                 static_cast<long long>((*trainer)->step()), licence.c_str());
   }
-  std::signal(SIGTERM, [](int) { stop_asked = 1; });
-  std::signal(SIGINT, [](int) { stop_asked = 1; });
+  stop_on_signals();
   return training.train(*compute->processes);
 }
 
 }  // namespace
 
 void add_train(CLI::App& app, Status& status) {
-  auto* command = app.add_subcommand("train", "Trains a network; Ctrl-C saves and stops");
+  auto* command =
+      app.add_subcommand("train", "Trains a network; Ctrl-C or a closed terminal saves and stops");
   auto options = std::make_shared<Options>();
   add_data_options(*command, options->data);
   add_recipe_options(*command, options->recipe);
@@ -241,18 +276,20 @@ void add_train(CLI::App& app, Status& status) {
       ->capture_default_str();
   command->add_flag("--resume", options->resume, "Go on from the folder's last checkpoint");
   command->add_flag("--dry-run", options->dry_run,
-                    "Print parameters, MACs, memory and expected time, and stop");
+                    "Print parameters, MACs, host memory and expected time, and stop");
   command
       ->add_option(
           "--from", options->from,
           "Start the depth network from this checkpoint or model file, of the same or a smaller "
           "encoder")
       ->check(CLI::ExistingFile);
-  command
-      ->add_option("--encoder-weights", options->encoder_weights,
-                   "Start the encoder from this .safetensors (timm's or ml-cvnets' names)")
-      ->check(CLI::ExistingFile);
-  command->add_flag("--encoder-bgr", options->encoder_bgr, "They were trained on BGR pictures");
+  auto* encoder =
+      command
+          ->add_option("--encoder-weights", options->encoder_weights,
+                       "Start the encoder from this .safetensors (timm's or ml-cvnets' names)")
+          ->check(CLI::ExistingFile);
+  command->add_flag("--encoder-bgr", options->encoder_bgr, "They were trained on BGR pictures")
+      ->needs(encoder);
   command
       ->add_option("--pose-weights", options->pose_weights,
                    "Start the pose network's ResNet18 from this .safetensors (torchvision's names)")

@@ -414,6 +414,7 @@ Result<std::string> Trainer::resume(const std::string& path) {
   if (!config) return config.status();
   // Those of the batches to come: an older program may have trained at others.
   config->trained_sizes = networks_->depth->config.trained_sizes;
+  if (recipe_.start) config->start = *recipe_.start;
   if (config->encoder != recipe_.encoder || config->preset != recipe_.preset ||
       !restore(*networks_, "network.", tensors) || !restore(*average_, "average.", tensors) ||
       !optimizer_->load(tensors)) {

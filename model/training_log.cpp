@@ -2,10 +2,13 @@
 
 #include <cstdlib>
 #include <fstream>
+#include <sstream>
 #include <string>
+#include <string_view>
 #include <unistd.h>
 
 #include "firmware/base/file.h"
+#include "model/csv.h"
 
 namespace lcdm::model {
 namespace {
@@ -13,14 +16,24 @@ namespace {
 // The file's lines up to step `last`, whole ones only: a crash may have cut the last line, and what
 // came after the checkpoint is done again. Empty without a file.
 std::string rows_until(const std::filesystem::path& path, std::int64_t last) {
-  std::ifstream file(path);
+  std::ostringstream file;
+  file << std::ifstream(path).rdbuf();  // a folder throws nothing here
+  const std::string text = file.str();
   std::string kept;
-  std::string line;
-  while (std::getline(file, line) && !file.eof()) {  // at eof the line has no end
+  std::string_view rest = text;
+  for (std::string_view line = rest; const auto cells = take_csv_line(rest); line = rest) {
+    line.remove_suffix(rest.size());
     const bool header = kept.empty();
-    if (header || std::atoll(line.c_str()) <= last) kept += line + "\n";
+    if (header || std::atoll(cells->front().c_str()) <= last) kept += line;
   }
   return kept;
+}
+
+// When the last row of the curve was written; 0 where there is none.
+double seconds_until(const std::filesystem::path& path) {
+  const Result<CsvTable> curve = read_csv(path.string());
+  const auto seconds = curve ? curve->numbers("seconds") : curve.status();
+  return seconds && !seconds->empty() ? seconds->back() : 0;
 }
 
 // Null where it cannot be written: a training goes on without its log, and a full disk costs
@@ -41,6 +54,7 @@ TrainingLog::TrainingLog(const std::filesystem::path& folder, std::int64_t first
   std::string header = "step,images,seconds,learning_rate";
   for (const char* name : kTermNames) header += std::string(",") + name;
   curve_ = open_to_append(folder / "curve.csv", first, header);
+  seconds_before_ = seconds_until(folder / "curve.csv");
   validation_ = open_to_append(folder / "validation.csv", first, "step,set,abs_rel,d1,constant");
 }
 
@@ -74,7 +88,8 @@ void TrainingLog::print(const Trainer& trainer) {
   std::fflush(stdout);
   if (curve_ == nullptr) return;
   std::fprintf(curve_, "%lld,%lld,%.1f,%.3g", static_cast<long long>(trainer.step()),
-               static_cast<long long>(trainer.images()), seconds, trainer.learning_rate());
+               static_cast<long long>(trainer.images()), seconds_before_ + seconds,
+               trainer.learning_rate());
   for (const double sum : sums_) std::fprintf(curve_, ",%.5f", sum / n);
   std::fprintf(curve_, "\n");
   std::fflush(curve_);
@@ -88,7 +103,7 @@ void TrainingLog::add(const Trainer& trainer, const Validation& validation, bool
     std::printf("  %s: AbsRel %.3f, d1 %.3f (constant %.3f)\n", set.name.c_str(),
                 set.network.abs_rel, set.network.delta1, set.constant.abs_rel);
     if (validation_ == nullptr) continue;
-    std::fprintf(validation_, "%lld,%s,%.5f,%.5f,%.5f\n", step, set.name.c_str(),
+    std::fprintf(validation_, "%lld,%s,%.5f,%.5f,%.5f\n", step, csv_cell(set.name).c_str(),
                  set.network.abs_rel, set.network.delta1, set.constant.abs_rel);
   }
   std::fflush(stdout);

@@ -19,7 +19,8 @@ class TrainingLog {
  public:
   static constexpr std::int64_t kStepsPerLine = 25;
 
-  // Goes on with the folder's files, whose rows past step `first` are dropped; of `total` steps.
+  // Goes on with the folder's files, whose rows past step `first` are dropped, and from the time of
+  // the last one that is kept; of `total` steps.
   TrainingLog(const std::filesystem::path& folder, std::int64_t first, std::int64_t total);
   ~TrainingLog();
   TrainingLog(const TrainingLog&) = delete;
@@ -36,6 +37,7 @@ class TrainingLog {
   std::int64_t first_;
   std::int64_t total_;
   Clock::time_point start_ = Clock::now();
+  double seconds_before_ = 0;  // of the curve's rows that are kept
   std::FILE* curve_;
   std::FILE* validation_;
   std::array<double, kTermNames.size()> sums_{};

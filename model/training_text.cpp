@@ -32,8 +32,12 @@ std::vector<std::string> lines_of(const std::string& one_line) {
 
 std::string training_text(const Recipe& recipe, const std::vector<Pack>& packs) {
   std::string text = recipe_text(recipe);
-  for (const Pack& pack : packs) text += text_of(pack);
-  return text;
+  int photographs = 0;
+  for (const Pack& pack : packs) {
+    text += text_of(pack);
+    photographs = std::max(photographs, pack.use.photographs);
+  }
+  return text + "medleys painted with " + std::to_string(photographs) + " photographs\n";
 }
 
 std::string on_one_line(std::string text) {

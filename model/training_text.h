@@ -10,7 +10,7 @@
 
 namespace lcdm::model {
 
-// The recipe, and how each pack is used; a line each.
+// The recipe, how each pack is used, and what medleys are painted with; a line each.
 std::string training_text(const Recipe& recipe, const std::vector<Pack>& packs);
 
 // The same as metadata may have it: printable ASCII, a semicolon for each line's end.

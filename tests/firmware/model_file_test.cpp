@@ -246,5 +246,16 @@ TEST(ModelFile, RandomDamageNeverDoesMoreThanFail) {
   EXPECT_GT(refused, 10000);
 }
 
+// All began with an encoder whose licence asks that its notice stays.
+TEST(ReleasedWeights, NameWhomTheirEncoderIsOf) {
+  for (const char* name : {"xs", "xxs", "xs-open", "xxs-open"}) {
+    const auto model = ModelFile::load(std::string("model/weights/lcdm-") + name + ".safetensors");
+    ASSERT_TRUE(model) << model.status().text();
+    EXPECT_THAT(model->config().licence,
+                testing::HasSubstr("METER's (MIT, Copyright (c) 2022 lorenzopapa5)"))
+        << name;
+  }
+}
+
 }  // namespace
 }  // namespace lcdm

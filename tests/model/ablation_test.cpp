@@ -45,6 +45,7 @@ class Ablation : public testing::Test {
     scene.train_frames = 4;
     scene.validation_frames = 2;
     data_.packs = {as_video(rendered_pack(scene))};
+    data_.packs[0].use.name = "scene, \"small\"";
     data_.protocols = {*protocol_named("scene")};
     recipe_.encoder = EncoderKind::kXxs;
     recipe_.steps = 2;
@@ -59,9 +60,16 @@ class Ablation : public testing::Test {
   std::map<std::string, torch::Tensor> weights() {
     return read_tensors(checkpoint_.string())->tensors;
   }
+  // Of ablation.csv; empty where it cannot be read.
+  std::vector<double> column(const char* name) const {
+    const Result<CsvTable> table = read_csv(table_.string());
+    EXPECT_TRUE(table) << table.status().text();
+    return table ? table->numbers(name).value() : std::vector<double>();
+  }
 
   test::TemporaryFolder scratch_;
   const fs::path folder_ = scratch_.file("tables");
+  const fs::path table_ = folder_ / "ablation.csv";
   const fs::path checkpoint_ = folder_ / "ID5-all-seed1" / "checkpoint.safetensors";
   Data data_;
   Recipe recipe_;
@@ -71,17 +79,35 @@ class Ablation : public testing::Test {
 TEST_F(Ablation, WritesTheTableAndDoesNothingTwice) {
   const Status status = run();
   ASSERT_TRUE(status) << status.text();
-  const Result<CsvTable> table = read_csv((folder_ / "ablation.csv").string());
+  const Result<CsvTable> table = read_csv(table_.string());
   ASSERT_TRUE(table) << table.status().text();
   EXPECT_EQ(table->rows.size(), 2U * 6);  // seeds x numbers of steps
+  EXPECT_EQ(table->texts("set")->front(), data_.packs[0].use.name);
   std::ifstream page(folder_ / "ablation.html");
   const std::string text{std::istreambuf_iterator<char>(page), {}};
   EXPECT_NE(text.find("±"), std::string::npos);
+  EXPECT_NE(text.find("GMAC"), std::string::npos);
 
   const auto written = fs::last_write_time(checkpoint_);
+  const std::vector<double> abs_rel = column("abs_rel");
   ASSERT_TRUE(run());
   EXPECT_EQ(fs::last_write_time(checkpoint_), written);
-  EXPECT_EQ(read_csv((folder_ / "ablation.csv").string())->rows, table->rows);
+  EXPECT_EQ(column("abs_rel"), abs_rel);
+}
+
+// A step is the head again: 16 channels to 16, embedded and read from one, 3x3 each.
+TEST_F(Ablation, SaysWhatAFrameCosts) {
+  options_.seeds = 1;
+  ASSERT_TRUE(run());
+  const std::vector<double> steps = column("steps");
+  const std::vector<double> gmac = column("gmac");
+  ASSERT_EQ(steps, (std::vector<double>{0, 1, 2, 3, 5, 10}));
+  const double step = 1e-9 * 128 * 64 * 9 * (16 * 16 + 16 + 16);
+  for (std::size_t i = 2; i < steps.size(); ++i) {
+    EXPECT_NEAR(gmac[i] - gmac[1], step * (steps[i] - 1), 1e-5) << steps[i];
+  }
+  EXPECT_NEAR(gmac[1] - gmac[0], step - 1e-9 * 128 * 64 * 9 * 16, 1e-5);
+  for (const double milliseconds : column("milliseconds")) EXPECT_GT(milliseconds, 0);
 }
 
 // Stopped after one step of two, it ends where it would have.
@@ -120,7 +146,7 @@ TEST_F(Ablation, RefusesTheNetworksOfOtherData) {
     EXPECT_EQ(run().code(), StatusCode::kInvalidInput);
   }
   data_ = data;
-  data_.photographs = 7;
+  data_.packs[0].use.photographs = 7;
   EXPECT_EQ(run().code(), StatusCode::kInvalidInput);
 }
 

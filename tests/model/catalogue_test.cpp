@@ -208,6 +208,14 @@ TEST_F(OwnPack, AlignsItsTeacherAsThatSays) {
   EXPECT_TRUE(load()) << "its own depth is what it learns from";
 }
 
+TEST_F(OwnPack, KeepsItsTeachersLicence) {
+  write_maps("teacher");
+  const std::string own = load()->licence;
+  write(root_ / "teacher" / "teacher.json", R"({"align": "scale", "licence": "for one only"})");
+  EXPECT_EQ(load()->licence, own + "; taught by maps of a network under: for one only");
+  EXPECT_EQ(load()->packs.at(0).use.alignment, Alignment::kScale);
+}
+
 // A catalogue need not repeat it, and may know better.
 TEST_F(OwnPack, OfACatalogueAlignsItsTeacherAlike) {
   write_maps("teacher");
@@ -222,6 +230,22 @@ TEST_F(OwnPack, OfACatalogueAlignsItsTeacherAlike) {
   };
   EXPECT_EQ(alignment_with(""), Alignment::kAffine);
   EXPECT_EQ(alignment_with("align = \"none\"\n"), Alignment::kNone);
+}
+
+// The right depth would look wrong beside maps of a shift nobody knows.
+TEST_F(OwnPack, MeasuresNothingByMapsOfUnknownShift) {
+  write_maps("teacher");
+  const auto measured_with = [&](const char* align) {
+    DataOptions options;
+    options.catalogue = (root_ / "catalogue.toml").string();
+    write(options.catalogue, "root = \"" + root_.parent_path().string() +
+                                 "\"\n[[train]]\npath = \"" + root_.filename().string() +
+                                 "\"\ntall-share = 0\nteacher = \"maps\"\nalign = \"" + align +
+                                 "\"\n");
+    return load_training_data(options)->packs.at(0).validation.size();
+  };
+  EXPECT_EQ(measured_with("scale"), 1U);
+  EXPECT_EQ(measured_with("affine"), 0U);
 }
 
 TEST_F(OwnPack, WithoutAnyDepthIsToldWhatMakesSome) {

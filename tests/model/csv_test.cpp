@@ -60,6 +60,28 @@ TEST_F(Csv, ALastLineCutOffIsLeftOutEvenWhereItLooksWhole) {
   EXPECT_EQ(read("step,loss\n1,0.5\n2,0.4").value().rows.size(), 1U);
 }
 
+// RFC 4180.
+TEST_F(Csv, ACellInQuotesMayHoldWhatSeparatesOthers) {
+  const auto table =
+      read("set,name,d1\r\n\"a, \"\"b\"\"\",\"two\nlines\",0.5\r\n\"\",\"\"\"\",1\n\"cut");
+  ASSERT_TRUE(table) << table.status().text();
+  EXPECT_EQ(table->texts("set").value(), (Texts{"a, \"b\"", ""}));
+  EXPECT_EQ(table->texts("name").value(), (Texts{"two\nlines", "\""}));
+  EXPECT_EQ(table->numbers("d1").value(), (Numbers{0.5, 1}));
+}
+
+TEST_F(Csv, AQuoteWithinACellIsOneOfItsCharacters) {
+  EXPECT_EQ(read("set,d1\n5\" disk,1\n").value().texts("set").value(), (Texts{"5\" disk"}));
+}
+
+TEST_F(Csv, WhatIsWrittenAsACellIsReadBack) {
+  const Texts texts = {"plain", "a, b", "\"", "\"a\",", "two\nlines", "back\r", "\r\n", " ", ""};
+  std::string text = "set,d1\n";
+  for (const std::string& each : texts) text += csv_cell(each) + ",1\n";
+  EXPECT_EQ(read(text).value().texts("set").value(), texts);
+  EXPECT_EQ(csv_cell("a 1.5"), "a 1.5") << "in quotes where it must be only";
+}
+
 TEST_F(Csv, ARowOfAnotherLengthIsNamedByItsLine) {
   const auto table = read("step,loss\n1,0.5\n2,0.4,7\n3,0.3\n");
   ASSERT_FALSE(table);

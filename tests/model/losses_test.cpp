@@ -125,6 +125,30 @@ TEST(AlignToStudent, FallsBackToTheMedianWhereTheFitIsNoDepth) {
   EXPECT_EQ((out - target).abs().max().item<float>(), 0);  // the median error is 0 already
 }
 
+// A student who says the same everywhere must not make its teacher do so too, or it would have
+// nothing left to learn.
+TEST(AlignToStudent, AFlatStudentDoesNotFlattenATeacherOfUnknownShift) {
+  const torch::Tensor student = torch::full({1, 1, 1, 4}, std::log(2.0F));
+  const torch::Tensor teacher = image({0.9F, 0.5F, 0.3F, 0.25F}, 1, 4);
+  const torch::Tensor out =
+      align_to_student(-teacher.log(), student, no_mask(student), kinds_of({Alignment::kAffine}));
+  const torch::Tensor inverse = torch::exp(-out);
+  EXPECT_NEAR(inverse.mean().item<float>(), 0.5, 1e-5);
+  EXPECT_NEAR((inverse - 0.5).square().mean().sqrt().item<float>(), 0.25 * 0.5, 1e-5);
+}
+
+// Nothing else holds the scale of a training whose every target follows the student.
+TEST(AlignToStudent, KeepsTheMedianInReach) {
+  const torch::Tensor target = image({1, 2, 3}, 1, 3);
+  for (const Alignment kind : {Alignment::kScale, Alignment::kAffine}) {
+    for (const auto& [drifted, held] : {std::pair{-9.0, 0.3}, std::pair{4.5, 30.0}}) {
+      const torch::Tensor out =
+          align_to_student(target, target * 0.01 + drifted, no_mask(target), kinds_of({kind}));
+      EXPECT_NEAR(out.median().item<float>(), std::log(held), 1e-4);
+    }
+  }
+}
+
 // A picture without a teacher's depth, among others in its batch: no median, no line, no NaN.
 TEST(AlignToStudent, LeavesAPictureOfWhichNothingIsKnown) {
   const torch::Tensor target = torch::zeros({2, 1, 1, 3});

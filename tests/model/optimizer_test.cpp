@@ -1,8 +1,11 @@
-// The optimiser's two rules: what a step of each is, and that threads do not change it.
+// The optimiser's two rules: what a step of each is, how far gradient and weights are held back,
+// and that threads do not change it.
 #include "model/optimizer.h"
 
 #include <cmath>
 #include <gtest/gtest.h>
+#include <map>
+#include <memory>
 #include <tuple>
 
 #include "model/learned_cameras.h"
@@ -141,18 +144,26 @@ TEST(Optimizer, LeavesLearnedFocalLengthsWhereNothingPullsThem) {
   EXPECT_TRUE((cameras->log_focal == 0.2F).all().item<bool>());
 }
 
-// LibTorch's own AdamW is the reference.
-TEST(Optimizer, IsAdamW) {
+// LibTorch's own AdamW is the reference; it is told to decay matrices alone.
+void expect_steps_of_adamw(double weight_decay) {
   torch::manual_seed(4);
   TwoLayers ours;
   TwoLayers theirs;
+  std::vector<torch::Tensor> matrices, vectors;
   for (const auto& item : ours->named_parameters()) {
     const torch::NoGradGuard no_grad;
-    theirs->named_parameters()[item.key()].copy_(item.value());
+    const torch::Tensor twin = theirs->named_parameters()[item.key()];
+    twin.copy_(item.value());
+    (twin.dim() > 1 ? matrices : vectors).push_back(twin);
   }
-  Optimizer optimizer(OptimizerKind::kAdamW, *ours, 0, 2);
-  torch::optim::AdamW reference(theirs->parameters(),
-                                torch::optim::AdamWOptions(0.01).weight_decay(0));
+  Optimizer optimizer(OptimizerKind::kAdamW, *ours, weight_decay, 2);
+  const auto options = [](double decay) {
+    return std::make_unique<torch::optim::AdamWOptions>(
+        torch::optim::AdamWOptions(0.01).weight_decay(decay));
+  };
+  const std::vector<torch::optim::OptimizerParamGroup> groups = {{matrices, options(weight_decay)},
+                                                                 {vectors, options(0)}};
+  torch::optim::AdamW reference(groups);
   for (int i = 0; i < 3; ++i) {
     for (const auto& item : ours->named_parameters()) {
       const torch::Tensor gradient = torch::randn_like(item.value());
@@ -166,6 +177,71 @@ TEST(Optimizer, IsAdamW) {
     EXPECT_TRUE(torch::allclose(item.value(), theirs->named_parameters()[item.key()], 1e-5, 1e-6))
         << item.key();
   }
+}
+
+TEST(Optimizer, IsAdamW) { expect_steps_of_adamw(0); }
+
+// Three steps take 3e-3 of a matrix, a hundred times what is let pass.
+TEST(Optimizer, IsAdamWThatDecaysMatricesApartFromTheirGradients) { expect_steps_of_adamw(0.1); }
+
+// Nothing else pulls: each shrinks by its own rate times the decay, whichever rule moves it.
+TEST(Optimizer, ShrinksMatricesAndNoVectorsWhereGradientsAreZero) {
+  for (const OptimizerKind kind : {OptimizerKind::kAdamW, OptimizerKind::kMuon}) {
+    torch::manual_seed(6);
+    TwoLayers layers;
+    std::map<std::string, torch::Tensor> before;
+    for (auto& item : layers->named_parameters()) {
+      before[item.key()] = item.value().detach().clone();
+      item.value().mutable_grad() = torch::zeros_like(item.value());
+    }
+    Optimizer optimizer(kind, *layers, 0.5, 2);
+    optimizer.step([](const std::string& name) { return name.starts_with("depth.") ? 0.1 : 0.2; });
+    const std::map<std::string, double> kept = {{"depth.weight", 0.95},
+                                                {"depth.bias", 1},
+                                                {"depth.table", 0.95},
+                                                {"pose.weight", 0.9},
+                                                {"pose.bias", 1}};
+    for (const auto& [name, share] : kept) {
+      const torch::Tensor now = layers->named_parameters()[name];
+      EXPECT_TRUE(torch::allclose(now, before.at(name) * share, 1e-6, 0))
+          << name << ", optimiser " << static_cast<int>(kind);
+    }
+  }
+}
+
+// So is the head until it joins: not even decay is to touch it.
+TEST(Optimizer, LeavesWhatHasNoGradientAsItIs) {
+  for (const OptimizerKind kind : {OptimizerKind::kAdamW, OptimizerKind::kMuon}) {
+    TwoLayers layers;
+    const torch::Tensor before = layers->depth->weight.detach().clone();
+    layers->pose->weight.mutable_grad() = torch::ones_like(layers->pose->weight);
+    Optimizer optimizer(kind, *layers, 0.5, 1);
+    optimizer.step([](const std::string&) { return 0.1; });
+    EXPECT_TRUE(torch::equal(layers->depth->weight, before)) << static_cast<int>(kind);
+  }
+}
+
+// 3 in one layer and 4 in the other: a norm of 5.
+TEST(Optimizer, ClipsTheCommonNormOfAllGradients) {
+  TwoLayers layers;
+  Optimizer optimizer(OptimizerKind::kMuon, *layers, 0, 1);
+  EXPECT_EQ(optimizer.clip(1), 0) << "nothing has a gradient";
+  torch::Tensor of_weight = torch::zeros_like(layers->depth->weight);
+  torch::Tensor of_bias = torch::zeros_like(layers->pose->bias);
+  of_weight[2][5] = 3;
+  of_bias[7] = -4;
+  layers->depth->weight.mutable_grad() = of_weight.clone();
+  layers->pose->bias.mutable_grad() = of_bias.clone();
+  const auto expect_times = [&](double factor) {
+    EXPECT_TRUE(torch::allclose(layers->depth->weight.grad(), of_weight * factor, 1e-6, 0));
+    EXPECT_TRUE(torch::allclose(layers->pose->bias.grad(), of_bias * factor, 1e-6, 0));
+    EXPECT_FALSE(layers->pose->weight.grad().defined());
+  };
+  EXPECT_NEAR(optimizer.clip(6), 5, 1e-6);
+  expect_times(1);
+  EXPECT_NEAR(optimizer.clip(2), 5, 1e-6) << "the norm before";
+  expect_times(0.4);
+  EXPECT_NEAR(optimizer.clip(6), 2, 1e-6);
 }
 
 TEST(Optimizer, DoesNotDependOnTheNumberOfThreads) {

@@ -34,6 +34,16 @@ TEST(StructuralDifference, WeighsVarianceAndCovariance) {
   EXPECT_NEAR(middle.item<double>(), 0.101148, 1e-5);
 }
 
+// The same x seen from its corner, where what lies beyond the border mirrors what lies within: .5
+// .4 .5, .2 .1 .2, .5 .4 .5. Means 11/30 and 23/60, variances 1/45 and 1/180, covariance 1/90.
+// Zeros outside, or the border again (.115), are others.
+TEST(StructuralDifference, SeesItsOwnMirrorImageBeyondTheBorder) {
+  const torch::Tensor x = torch::arange(1, 10).to(torch::kFloat32).reshape({1, 1, 3, 3}) / 10;
+  const torch::Tensor all = structural_difference(x, x / 2 + 0.2);
+  EXPECT_EQ(all.sizes(), x.sizes());
+  EXPECT_NEAR(all[0][0][0][0].item<double>(), 0.097260, 1e-5);
+}
+
 TEST(PhotometricLoss, TakesTheBestOfTheNeighboursPixelByPixel) {
   const torch::Tensor target = torch::rand({1, 3, 16, 32});
   torch::Tensor left = target.clone();
@@ -78,6 +88,24 @@ TEST(SmoothnessLoss, IsTheDivisionByTheMeanAndTheEdgeWeight) {
   torch::Tensor edge = flat.clone();
   edge.narrow(3, 1, 1).fill_(0.5);
   EXPECT_NEAR(smoothness_loss(inverse, edge).item<double>(), std::exp(-0.5), 1e-6);
+}
+
+// Of mean 2, so .5 1 1.5 over .5 2 .5: differences .5 .5 1.5 1.5 to the right, 0 1 1 down. A second
+// picture of ten times the inverse depth has a mean of its own.
+TEST(SmoothnessLoss, LooksToTheRightAndDown) {
+  const torch::Tensor one =
+      torch::tensor({1.0F, 2.0F, 3.0F, 1.0F, 4.0F, 1.0F}).reshape({1, 1, 2, 3});
+  const torch::Tensor inverse = torch::cat({one, 10 * one});
+  const torch::Tensor flat = torch::zeros({2, 3, 2, 3});
+  EXPECT_NEAR(smoothness_loss(inverse, flat).item<double>(), 1 + 2.0 / 3, 1e-6);
+  // Colours that rise and fall do not make up for each other: means of .4 to the right, .2 down.
+  const torch::Tensor right = torch::tensor({0.5F, -0.5F, 0.2F}).reshape({1, 3, 1, 1});
+  const torch::Tensor down = torch::tensor({0.1F, -0.2F, 0.3F}).reshape({1, 3, 1, 1});
+  const torch::Tensor columns = torch::arange(3).reshape({1, 1, 1, 3});
+  const torch::Tensor rows = torch::arange(2).reshape({1, 1, 2, 1});
+  const torch::Tensor image = (right * columns + down * rows).expand({2, 3, 2, 3});
+  EXPECT_NEAR(smoothness_loss(inverse, image).item<double>(),
+              std::exp(-0.4) + 2.0 / 3 * std::exp(-0.2), 1e-6);
 }
 
 TEST(PoseNet, HasTheSizeOfMonodepth2sAndStartsNearNoMotion) {

@@ -62,6 +62,31 @@ TEST_F(TrainCli, RefusesACommandLineThatAsksForWhatCannotBe) {
       "--torchscript");
 }
 
+// Who gives an option that nothing reads takes what comes for its doing.
+TEST_F(TrainCli, RefusesOptionsThatWouldDoNothing) {
+  const std::string model = "model/weights/lcdm-xxs.safetensors";
+  expect_refusal({"evaluate", "--model", model, "--steps", "2"}, 2,
+                 "--steps requires --checkpoint");
+  for (const std::string option : {"--every", "--scene-frames"}) {
+    expect_refusal({"evaluate", "--model", model, "--test", option, "2"}, 2, option);
+  }
+  for (const std::string option : {"--output", "--name", "--card", "--licence", "--start"}) {
+    expect_refusal(
+        {"export", "--model", model, "--onnx", folder_.file("net.onnx"), option, "zeros"}, 2,
+        option + " requires --checkpoint");
+  }
+  expect_refusal({"export", "--model", model, "--width", "320"}, 2, "--width requires --onnx");
+  expect_refusal({"train", "--dry-run", "--data", folder_.write("data.toml", ""), "--encoder-bgr"},
+                 2, "--encoder-bgr requires --encoder-weights");
+}
+
+TEST_F(TrainCli, RefusesARecordingWithoutAPicture) {
+  const std::string recording = folder_.write("empty.mcap", "\x89MCAP0\r\n");
+  expect_refusal({"pack", "--recording", recording, "--output", folder_.file("pack")}, 78,
+                 "no JPEG pictures");
+  EXPECT_FALSE(fs::exists(folder_.file("pack")));
+}
+
 // A new training would destroy it.
 TEST_F(TrainCli, RefusesAFolderThatHoldsATraining) {
   folder_.write("checkpoint.safetensors", "hours of work");
@@ -112,6 +137,21 @@ TEST_F(TrainCli, SaysThatTheFiguresOfFramesCouldNotBeKept) {
                          "--estimates", folder_.path(), "--frames", "/dev/full"});
   EXPECT_EQ(program.wait(60), 1) << program.text();
   EXPECT_THAT(program.text(), HasSubstr("--frames /dev/full: cannot write"));
+}
+
+TEST_F(TrainCli, TheTableOfFramesKeepsItsColumnsWhateverAModelIsCalled) {
+  const std::string model = folder_.file("north, \"3\".safetensors");
+  fs::copy_file("model/weights/lcdm-xxs.safetensors", model);
+  const std::string table = folder_.file("frames.csv");
+  test::Program program(LCDM_TRAIN_PROGRAM,
+                        {"evaluate", "--data", folder_.write("data.toml", "[scene]\nframes = 1\n"),
+                         "--model", model, "--share", "0.3", "--frames", table});
+  ASSERT_EQ(program.wait(60), 0) << program.text();
+  std::ifstream file(table);
+  std::string line;
+  std::getline(file, line);
+  std::getline(file, line);
+  EXPECT_THAT(line, StartsWith("scene,\"north, \"\"3\"\"\",900000-0,"));
 }
 
 // What the one set asks of its weights the other's licence would leave out.

@@ -170,13 +170,15 @@ TEST(Trainer, SaysWhatDiffersFromTheTrainingItGoesOnWith) {
   EXPECT_EQ(*trainer_of(recipe, packs)->resume(path), "");
   recipe.steps = 8;
   packs[0].use.name = "other";
+  packs[0].use.photographs = 7;
   const Result<std::string> changed = trainer_of(recipe, packs)->resume(path);
   ASSERT_TRUE(changed) << changed.status().text();
   for (const char* line :
-       {"then: steps = 6", "now:  steps = 8", "now:  trains on 24 frames of other"}) {
+       {"then: steps = 6", "now:  steps = 8", "now:  trains on 24 frames of other",
+        "now:  medleys painted with 7 photographs"}) {
     EXPECT_NE(changed->find(line), std::string::npos) << line << " is not in\n" << *changed;
   }
-  EXPECT_EQ(std::count(changed->begin(), changed->end(), '\n'), 4);
+  EXPECT_EQ(std::count(changed->begin(), changed->end(), '\n'), 6);
 }
 
 TEST(Trainer, RefusesACheckpointOfAnotherNetworkOrOptimiser) {

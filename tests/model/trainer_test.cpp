@@ -1,6 +1,7 @@
 // The training loop: what it trains on and by, that it learns, and when it gives up.
 #include "model/trainer.h"
 
+#include <cmath>
 #include <gtest/gtest.h>
 
 #include "model/training_samples.h"
@@ -115,6 +116,99 @@ TEST(Trainer, GoesThroughItsStagesAndAccumulates) {
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(trainer->advance());
   EXPECT_EQ(trainer->share(), 0.3);
   EXPECT_EQ(trainer->images(), 2 * (4 + 8) + 2 * (2 + 4)) << "4:3: twice as many";
+}
+
+Batch joined(const Batch& a, const Batch& b) {
+  const auto both = [](const torch::Tensor& x, const torch::Tensor& y) {
+    return torch::cat({x, y});
+  };
+  Batch batch;
+  batch.rgb = both(a.rgb, b.rgb);
+  batch.cameras = {both(a.cameras.fx, b.cameras.fx), both(a.cameras.fy, b.cameras.fy),
+                   both(a.cameras.cx, b.cameras.cx), both(a.cameras.cy, b.cameras.cy)};
+  batch.target = {both(a.target.depth, b.target.depth), both(a.target.weight, b.target.weight),
+                  both(a.target.sharp, b.target.sharp),
+                  both(a.target.alignment, b.target.alignment)};
+  return batch;
+}
+
+// Two batches of two pictures, a picture for each worker, against the four in one pass. The
+// optimiser's first mean is a tenth of the gradient it was given.
+TEST(Trainer, AccumulatesTheGradientOfOneLargeBatch) {
+  std::vector<Pack> packs = scene_packs();
+  packs[0].use.tall_share = 0;  // all of one shape, to be put together
+  Recipe recipe = small_recipe();
+  recipe.accumulate = 2;
+  recipe.freeze_from = 0;  // nothing depends on what else is in a batch
+  recipe.head_from = 1;    // nor on noise
+  recipe.clip = 1e9;
+  const auto trainer = trainer_of(recipe, packs);
+  const BatchShape shape = make_shapes(recipe, recipe.stages[0], 0, packs).front();
+  const Batch batch =
+      joined(*make_batch(packs, shape, recipe.seed, 0), *make_batch(packs, shape, recipe.seed, 1));
+  ASSERT_EQ(batch.rgb.size(0), 4);
+  TrainedNetworks networks(trainer->config(), false);
+  networks->depth = trainer->averaged();  // before the first step: what is trained
+  at::Generator unused = at::detail::createCPUGenerator(1);
+  const Losses whole = training_losses(networks, batch, recipe.losses, Part::kDirect, unused);
+  whole.total.backward();
+  double squares = 0;
+  for (const torch::Tensor& parameter : networks->depth->parameters()) {
+    if (parameter.grad().defined()) squares += parameter.grad().square().sum().item<double>();
+  }
+  const double all = std::sqrt(squares);
+  ASSERT_GT(all, 0);
+
+  const Result<Losses> losses = trainer->advance();
+  ASSERT_TRUE(losses) << losses.status().text();
+  const double total = whole.total.item<double>();
+  EXPECT_NEAR(losses->total.item<double>(), total, 1e-4 * total);
+  const auto state = state_of(*trainer);
+  for (const auto& item : networks->depth->named_parameters()) {
+    const torch::Tensor& wanted = item.value().grad();
+    if (!wanted.defined()) continue;  // the head's
+    const torch::Tensor got = state.at("adam.mean.depth." + item.key()) * 10;
+    EXPECT_LT((got - wanted).norm().item<double>(),
+              1e-2 * wanted.norm().item<double>() + 1e-4 * all)
+        << item.key();
+  }
+}
+
+// The optimiser's first means, too, are a tenth of what the recipe allows.
+TEST(Trainer, ClipsTheGradientOfAStep) {
+  Recipe recipe = small_recipe();
+  recipe.clip = 1e-3;
+  const auto trainer = trainer_of(recipe);
+  ASSERT_TRUE(trainer->advance());
+  double squares = 0;
+  for (const auto& [name, tensor] : state_of(*trainer)) {
+    if (name.starts_with("adam.mean.")) squares += tensor.square().sum().item<double>();
+  }
+  EXPECT_NEAR(std::sqrt(squares), 0.1 * recipe.clip, 1e-3 * recipe.clip);
+}
+
+// After its nth step it keeps (1 + n) / (10 + n) of the average, and the recipe's share at most:
+// 2/11 first, then .22, as 3/12 would be more.
+TEST(Trainer, AveragesWeightsAndStatisticsOverItsSteps) {
+  Recipe recipe = small_recipe();
+  recipe.average = 0.22;
+  recipe.learning_rate = 1e-2;
+  const auto trainer = trainer_of(recipe);
+  auto before = state_of(*trainer);
+  for (const double kept : {2.0 / 11, 0.22}) {
+    ASSERT_TRUE(trainer->advance());
+    const auto after = state_of(*trainer);
+    for (const std::string name :
+         {"direct.weight", "head.conv1.weight", "encoder.stem.bn.running_mean"}) {
+      const torch::Tensor& old = before.at("average." + name);
+      const torch::Tensor& trained = after.at("network.depth." + name);
+      ASSERT_GT((trained - old).abs().max().item<double>(), 1e-4) << name;
+      EXPECT_TRUE(
+          torch::allclose(after.at("average." + name), kept * old + (1 - kept) * trained, 0, 1e-6))
+          << name << ", keeping " << kept;
+    }
+    before = after;
+  }
 }
 
 // bfloat16 in encoder and decoder: the loss stays close to float's, weights stay float.

@@ -6,6 +6,7 @@
 #include "model/csv.h"
 #include "model/safetensors.h"
 #include "model/training_log.h"
+#include "tests/model/small_training.h"
 #include "tests/support/file_size_limit.h"
 #include "tests/support/temporary_folder.h"
 
@@ -29,6 +30,44 @@ TEST(TrainingLog, GoesOnFromTheStepOfTheCheckpoint) {
   EXPECT_EQ(*curve->numbers("step"), (std::vector<double>{25, 50}));
   { const TrainingLog log(folder, 0, 100); }
   EXPECT_TRUE(read_csv((folder / "curve.csv").string())->rows.empty());
+}
+
+// The time of a training is that of all its parts.
+TEST(TrainingLog, SecondsGoOnFromTheLastRowThatIsKept) {
+  const test::TemporaryFolder scratch;
+  const fs::path folder = scratch.path();
+  const fs::path curve = folder / "curve.csv";
+  { const TrainingLog log(folder, 0, 2); }
+  std::ofstream(curve, std::ios::app) << "1,2,1000.0,0,0,0,0,0,0,0,0\n2,4,2000.0,0,0,0,0,0,0,0,0\n";
+  Recipe recipe = small_recipe();
+  recipe.steps = 2;
+  const auto trainer = trainer_of(recipe);
+  ASSERT_TRUE(trainer->advance());
+  TrainingLog log(folder, 1, 2);
+  const Result<Losses> losses = trainer->advance();
+  ASSERT_TRUE(losses) << losses.status().text();
+  log.add(*trainer, *losses);
+  const Result<CsvTable> table = read_csv(curve.string());
+  ASSERT_TRUE(table) << table.status().text();
+  ASSERT_EQ(*table->numbers("step"), (std::vector<double>{1, 2}));
+  EXPECT_GE(table->numbers("seconds")->back(), 1000);
+  EXPECT_LT(table->numbers("seconds")->back(), 1900);
+}
+
+TEST(TrainingLog, ASetMayHaveAnyName) {
+  const test::TemporaryFolder scratch;
+  const fs::path folder = scratch.path();
+  const auto trainer = trainer_of(small_recipe());
+  Validation validation;
+  validation.sets.resize(2);
+  validation.sets[0].name = "kitchen, \"north\"";
+  validation.sets[1].name = "cellar\n9";
+  { TrainingLog(folder, 0, 6).add(*trainer, validation, false); }
+  const TrainingLog resumed(folder, 0, 6);  // which reads and keeps them
+  const Result<CsvTable> table = read_csv((folder / "validation.csv").string());
+  ASSERT_TRUE(table) << table.status().text();
+  EXPECT_EQ(*table->texts("set"),
+            (std::vector<std::string>{validation.sets[0].name, validation.sets[1].name}));
 }
 
 TEST(TrainingLog, FullDiskLeavesTheCurve) {
