@@ -6,12 +6,13 @@
     python3 model/data/photo_maps.py PACK
 
 For each pack with teacher_own/NAME.png and teacher_meter/NAME.png, METER's NYU maps (both 16 bit,
-1/256 m), writes teacher_photo/NAME.png of the same kind: in log depth, each about its median, our
-own map and half of what METER's differs from it at 32x24 pixels. METER's soft edges so bring none.
-What that gains, median-scaled AbsRel / delta1 of our own (the lcdm-xs that taught), of METER's and
-of these: .179 / .735, .169 / .753 and .161 / .774 in NYU's 80 rooms left out, .202 / .661,
-.219 / .661 and .194 / .688 on the tables left out: two networks that err differently teach better
-than either.
+1/256 m, and means of the picture's and its mirror image's), writes teacher_photo/NAME.png of the
+same kind: in log depth, each about its median, our own map and half of what METER's differs from it
+at 32x24 pixels. METER's soft edges so bring none. What that gains, median-scaled AbsRel / delta1 of
+our own (the lcdm-xs of commit 02b9d69), of METER's and of these: .176 / .743, .166 / .761 and
+.160 / .773 in NYU's 80 rooms left out, .189 / .710, .211 / .682 and .188 / .712 on the tables left
+out, .194 / .739, .180 / .725 and .175 / .753 in thirteen rooms by several cameras: two networks
+that err differently teach better than either. Without the mirror images .161, .188 and .172.
 """
 import argparse
 import pathlib

@@ -80,6 +80,35 @@ TEST_F(TrainCli, RefusesOptionsThatWouldDoNothing) {
                  2, "--encoder-bgr requires --encoder-weights");
 }
 
+// Peers are other people's programs: what they answer is what the table says.
+TEST_F(TrainCli, ComparesWithWhatAPeerAnswers) {
+  const auto compare = [&](const std::string& peer) {
+    return std::vector<std::string>{"--threads",
+                                    "1",
+                                    "compare",
+                                    "--model",
+                                    "model/weights/lcdm-xxs.safetensors",
+                                    "--onnx",
+                                    folder_.file("net.onnx"),
+                                    "--width",
+                                    "96",
+                                    "--height",
+                                    "64",
+                                    "--rounds",
+                                    "2",
+                                    "--frames",
+                                    "1",
+                                    "--peer",
+                                    peer};
+  };
+  const std::string answers = "while read n; do echo 5000 4000; done";
+  test::Program program(LCDM_TRAIN_PROGRAM, compare(answers));
+  EXPECT_EQ(program.wait(60), 0) << program.text();
+  EXPECT_THAT(program.text(), HasSubstr("| LibTorch |"));
+  EXPECT_THAT(program.text(), HasSubstr("| " + answers + " | 5000.0 | 1.00 | 4000.0 |"));
+  expect_refusal(compare("true"), 1, "'true' gave no answer in round 0");
+}
+
 TEST_F(TrainCli, RefusesARecordingWithoutAPicture) {
   const std::string recording = folder_.write("empty.mcap", "\x89MCAP0\r\n");
   expect_refusal({"pack", "--recording", recording, "--output", folder_.file("pack")}, 78,
