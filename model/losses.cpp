@@ -85,10 +85,9 @@ namespace {
 constexpr double kMostBeyond = 0.05;  // of an affine fit's pixels
 // Of inverse depth, its deviation over its mean: a flat student must not flatten its teacher.
 constexpr double kLeastSpread = 0.25;
-// Canonical metres between which an aligned map's median stays. A target that follows the student
-// holds no scale: without these ends it drifts until everything is as far as can be said.
-constexpr double kNearestMedian = 0.3;
-constexpr double kFarthestMedian = 30;
+// How many deviations of the diffusion variable from its mean an aligned map's median may lie. A
+// target that follows the student holds no scale: without ends it drifts away and becomes flat.
+constexpr double kMostDeviations = 2;
 
 // Scale and shift of inverse depth.
 struct Line {
@@ -133,7 +132,8 @@ torch::Tensor medians(const torch::Tensor& values, const torch::Tensor& mask) {
 }  // namespace
 
 torch::Tensor align_to_student(const torch::Tensor& log_target, const torch::Tensor& log_depth,
-                               const torch::Tensor& mask, const torch::Tensor& alignment) {
+                               const torch::Tensor& mask, const torch::Tensor& alignment,
+                               const ModelConfig& config) {
   const torch::NoGradGuard no_grad;
   const torch::Tensor follows =
       (alignment != static_cast<std::int64_t>(Alignment::kNone)).reshape({-1, 1, 1, 1});
@@ -146,7 +146,9 @@ torch::Tensor align_to_student(const torch::Tensor& log_target, const torch::Ten
     align_affine(out[b], log_depth[b], mask[b]);
   }
   const torch::Tensor middle = medians(out, mask);
-  const torch::Tensor held = middle.clamp(std::log(kNearestMedian), std::log(kFarthestMedian));
+  const torch::Tensor ends =
+      log_depth_of_variable(torch::tensor({kMostDeviations, -kMostDeviations}), config);
+  const torch::Tensor held = middle.clamp(ends[0].item<double>(), ends[1].item<double>());
   return out + torch::where(follows, held - middle, 0.0);
 }
 
@@ -303,7 +305,7 @@ Losses training_losses(TrainedNetworks& networks, const Batch& batch, const Loss
   // What can be said is a matter of the aligned depth: a teacher's own metres may be of any size.
   const torch::Tensor log_target =
       align_to_student(torch::where(mask, target.depth, torch::ones_like(target.depth)).log(),
-                       log_depth_of_variable(student, config), mask, target.alignment)
+                       log_depth_of_variable(student, config), mask, target.alignment, config)
           .clamp(std::log(kMinDepth), std::log(kMaxDepth));
   const DepthLosses depth_losses(networks, batch, weights, log_target);
 

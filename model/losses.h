@@ -67,9 +67,10 @@ torch::Tensor gradient_loss(const torch::Tensor& log_depth, const torch::Tensor&
 // kScale moves an image so that its median error is 0; kAffine gives its inverse depth the mean and
 // the deviation of the student's (a quarter of the mean at least), and falls back to kScale where
 // that would be no depth: near turned into far, or more than a few pixels beyond the farthest.
-// Either way its median stays between .3 and 30 canonical metres.
+// Either way its median stays within two deviations of the diffusion variable's mean.
 torch::Tensor align_to_student(const torch::Tensor& log_target, const torch::Tensor& log_depth,
-                               const torch::Tensor& mask, const torch::Tensor& alignment);
+                               const torch::Tensor& mask, const torch::Tensor& alignment,
+                               const ModelConfig& config);
 
 // The times and noise of one denoising pass. All times of a batch belong to one sampler step.
 struct DenoisingDraw {
