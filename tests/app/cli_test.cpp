@@ -414,13 +414,13 @@ TEST_F(Cli, AnUnknownInstructionSetIsRefusedWithThoseThereAre) {
 
 TEST_F(Cli, ALesserInstructionSetIsUsedWhereItIsAskedFor) {
   const std::vector<std::string> names = kernels::isa_names();
-  const std::string& least = names.back();
-  std::string lower = least;
+  const std::string& lesser = names.at(names.size() > 1 ? 1 : 0);
+  std::string lower = lesser;
   for (char& c : lower) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
   test::Program child("/usr/bin/env", {"LCDM_ISA=" + lower, LCDM_PROGRAM, "bench", "--json",
                                        "--size", "64x64", "--model", model_});
-  ASSERT_EQ(child.wait(60), 0) << child.text();
-  EXPECT_EQ(nlohmann::json::parse(child.text())["isa"], least);
+  ASSERT_EQ(child.wait(300), 0) << child.text();
+  EXPECT_EQ(nlohmann::json::parse(child.text())["isa"], lesser);
 }
 
 TEST_F(Cli, AnEmptyInstructionSetIsNone) {

@@ -11,8 +11,8 @@
 #include "firmware/nn/engine.h"
 #include "firmware/nn/noise.h"
 #include "tests/support/random_model.h"
-#include "tests/support/worse.h"
 #include "tests/support/temporary_folder.h"
+#include "tests/support/worse.h"
 
 namespace lcdm::model {
 namespace {
