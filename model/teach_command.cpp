@@ -39,54 +39,56 @@ Status write_map(const fs::path& path, const cv::Mat& metres) {
   return write_file(path.string(), std::as_bytes(std::span(png)));
 }
 
-Result<Estimator> teacher_of(const Options& options) {
-  if (!options.model.empty()) return file_estimator(options.model);
+struct TeachingNetwork {
+  Estimator estimator;
+  std::string licence;  // empty: of a module nothing is known
+};
+
+Result<Estimator> module_of(const Options& options) {
+  TorchscriptOptions torchscript = options.torchscript;
+  torchscript.input = {options.size[0], options.size[1]};
+  const Result<Estimator> module = torchscript_estimator(torchscript);
+  if (!module || torchscript.gives != TorchscriptOptions::Gives::kInverse) return module;
+  return Estimator(
+      [estimate = *module](const PackFrame& frame) { return at_ten_metres(estimate(frame)); });
+}
+
+Result<TeachingNetwork> teacher_of(const Options& options) {
   if (!options.torchscript.file.empty()) {
-    TorchscriptOptions torchscript = options.torchscript;
-    torchscript.input = {options.size[0], options.size[1]};
-    const Result<Estimator> module = torchscript_estimator(torchscript);
-    if (!module || torchscript.gives != TorchscriptOptions::Gives::kInverse) return module;
-    return Estimator(
-        [estimate = *module](const PackFrame& frame) { return at_ten_metres(estimate(frame)); });
+    const Result<Estimator> module = module_of(options);
+    if (!module) return module.status();
+    return TeachingNetwork{*module, ""};
+  }
+  if (!options.model.empty()) {
+    const Result<ModelFile> file = ModelFile::load(options.model);
+    if (!file) return file.status();
+    const Result<Estimator> estimator = file_estimator(options.model);
+    if (!estimator) return estimator.status();
+    return TeachingNetwork{*estimator, file->config().licence};
   }
   const Result<DepthNetwork> network = load_checkpoint(options.checkpoint);
   if (!network) return network.status();
   auto kept = std::make_shared<DepthNetwork>(*network);
   const auto steps = static_cast<int>((*kept)->config.steps.size());
-  return Estimator([kept, estimate = network_estimator(*kept, steps)](const PackFrame& frame) {
-    return estimate(frame);
-  });
-}
-
-// Of our own networks; of a module nothing is known.
-Result<std::string> licence_of(const Options& options) {
-  if (!options.model.empty()) {
-    const Result<ModelFile> file = ModelFile::load(options.model);
-    if (!file) return file.status();
-    return file->config().licence;
-  }
-  if (options.checkpoint.empty()) return std::string();
-  const Result<DepthNetwork> network = load_checkpoint(options.checkpoint);
-  if (!network) return network.status();
-  return (*network)->config.licence;
+  return TeachingNetwork{[kept, estimate = network_estimator(*kept, steps)](
+                             const PackFrame& frame) { return estimate(frame); },
+                         (*kept)->config.licence};
 }
 
 // What of the maps is not to be believed, kept beside them: whoever trains on them aligns that. The
 // scale of our own networks is relative. And under which licence they are.
-Status write_note(const fs::path& folder, const Options& options) {
+Status write_note(const fs::path& folder, const Options& options, const std::string& licence) {
   using Gives = TorchscriptOptions::Gives;
   const Gives gives =
       options.torchscript.file.empty() ? Gives::kInverse : options.torchscript.gives;
   const Alignment alignment = gives == Gives::kDepth     ? Alignment::kNone
                               : gives == Gives::kInverse ? Alignment::kScale
                                                          : Alignment::kAffine;
-  const Result<std::string> licence = licence_of(options);
-  if (!licence) return licence.status();
   std::string text;
   for (const auto& [name, value] : alignment_names()) {
     if (value == alignment) text = "{\"align\": \"" + name + "\"";
   }
-  if (!licence->empty()) text += ", \"licence\": " + json_quoted(*licence);
+  if (!licence.empty()) text += ", \"licence\": " + json_quoted(licence);
   text += "}\n";
   std::error_code error;
   fs::create_directories(folder, error);
@@ -94,9 +96,9 @@ Status write_note(const fs::path& folder, const Options& options) {
 }
 
 Status run(const Options& options) {
-  const Result<Estimator> one_way = teacher_of(options);
-  if (!one_way) return one_way.status();
-  const Estimator teacher = both_ways(*one_way);
+  const Result<TeachingNetwork> network = teacher_of(options);
+  if (!network) return network.status();
+  const Estimator teacher = both_ways(network->estimator);
   const fs::path folder = fs::canonical(options.pack);
   PackUse use;
   use.name = folder.filename().string();
@@ -105,7 +107,7 @@ Status run(const Options& options) {
   const Result<Pack> pack = load_pack(folder.parent_path(), use, kFullWidth);
   if (!pack) return pack.status();
   const fs::path output = options.output.empty() ? folder / "teacher" : fs::path(options.output);
-  LCDM_RETURN_IF_ERROR(write_note(output, options));
+  LCDM_RETURN_IF_ERROR(write_note(output, options, network->licence));
   std::size_t without = 0;
   for (std::size_t i = 0; i < pack->frames->size(); ++i) {
     const Result<PackFrame> frame = pack->frames->read(i);

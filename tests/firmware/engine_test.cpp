@@ -361,7 +361,7 @@ TEST(NetworkSize, IsAlwaysOneTheNetworkAccepts) {
   }
 }
 
-// A file may hold any finite weights: what overflows shows as no depth, and nothing worse happens.
+// A file may hold any finite weights: its frames are depth or none, and nothing worse happens.
 TEST(Engine, SurvivesWeightsOfAnySize) {
   const ModelConfig config = test::make_config(EncoderKind::kXxs, PresetKind::kLcdm);
   const std::vector<test::RandomTensor> weights = test::make_random_weights(config, 5);
