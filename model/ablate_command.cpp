@@ -4,6 +4,7 @@
 #include "model/ablation.h"
 #include "model/commands.h"
 #include "model/recipe_options.h"
+#include "model/stop_request.h"
 
 namespace lcdm::model {
 namespace {
@@ -27,16 +28,17 @@ Status run(const Options& options) {
   }
   const Result<Data> data = load_training_data(options.data);
   if (!data) return data.status();
+  stop_on_signals();
   return ablate(*recipe, *data, *compute, options.ablation);
 }
 
 }  // namespace
 
 void add_ablate(CLI::App& app, Status& status) {
-  auto* command = app.add_subcommand(
-      "ablate",
-      "Trains the rows of the paper's tables 7, 8 and 9 and writes ablation.csv and ablation.html; "
-      "goes on where it stopped");
+  auto* command = app.add_subcommand("ablate",
+                                     "Trains the rows of the paper's tables 7, 8 and 9, and of its "
+                                     "sampler beside ours, and writes "
+                                     "ablation.csv and ablation.html; goes on where it stopped");
   auto options = std::make_shared<Options>();
   add_data_options(*command, options->data);
   add_row_options(*command, options->recipe);
@@ -45,8 +47,8 @@ void add_ablate(CLI::App& app, Status& status) {
       ->capture_default_str();
   command
       ->add_option("--tables", options->ablation.tables,
-                   "losses (table 7), steps (table 8), normals (table 9)")
-      ->check(CLI::IsMember({"losses", "steps", "normals"}));
+                   "losses (table 7), steps (table 8), normals (table 9), sampler")
+      ->check(CLI::IsMember({"losses", "steps", "normals", "sampler"}));
   command->add_option("--seeds", options->ablation.seeds, "Runs of each row, with seeds 1, 2, ...")
       ->check(CLI::Range(1, 100))
       ->capture_default_str();

@@ -17,6 +17,7 @@
 #include "model/dataset_files.h"
 #include "model/evaluation.h"
 #include "model/html_page.h"
+#include "model/stop_request.h"
 #include "model/training_log.h"
 #include "model/training_text.h"
 
@@ -36,6 +37,7 @@ constexpr int kTimedFrames = 30;
 struct Score {
   std::string table;
   std::string row;
+  PresetKind preset = PresetKind::kLcdm;
   int steps = 0;
   int seed = 0;
   std::string set;
@@ -47,7 +49,7 @@ struct Cost {
   double gmac = 0;
   double milliseconds = 0;
 };
-using Costs = std::map<int, Cost>;  // by that number
+using Costs = std::map<std::pair<PresetKind, int>, Cost>;  // by the network and that number
 
 // The network's own: rows of several tables that name the same network share its training.
 std::string folder_name(const AblationRow& row, int seed) {
@@ -73,7 +75,7 @@ Status claim(const fs::path& folder, const std::string& recipe) {
                        folder.c_str());
 }
 
-// Trains what `folder` has not finished.
+// Trains what `folder` has not finished, or until it must stop.
 Status train_row(const Recipe& recipe, const Data& data, const Compute& compute,
                  const fs::path& folder) {
   LCDM_RETURN_IF_ERROR(claim(folder, training_text(recipe, data.packs)));
@@ -83,16 +85,20 @@ Status train_row(const Recipe& recipe, const Data& data, const Compute& compute,
   if (fs::exists(checkpoint)) LCDM_RETURN_IF_ERROR((*trainer)->resume(checkpoint).status());
   if ((*trainer)->done()) return Status::ok();
   TrainingLog log(folder, (*trainer)->step(), recipe.steps);
-  while (!(*trainer)->done()) {
+  while (!(*trainer)->done() && !must_stop()) {
     const Result<Losses> losses = (*trainer)->advance();
     if (!losses) return losses.status();
     log.add(**trainer, *losses);
-    const bool save = (*trainer)->step() % kSaveEvery == 0 || (*trainer)->done();
+    const bool save = (*trainer)->step() % kSaveEvery == 0;
     if (save) LCDM_RETURN_IF_ERROR((*trainer)->save(checkpoint));
   }
   const std::string note = (*trainer)->frames().note();
   if (!note.empty()) std::fprintf(stderr, "%s\n", note.c_str());
-  return Status::ok();
+  return (*trainer)->save(checkpoint);
+}
+
+std::string shown_name(const AblationRow& row) {
+  return row.first_alone ? row.name + ", the first of its two" : row.name;
 }
 
 // Measured at the last stage's size: what the network was trained for.
@@ -101,6 +107,7 @@ Status measure_row(const AblationRow& row, int seed, double share, const Data& d
   const Result<DepthNetwork> loaded = load_checkpoint((folder / "checkpoint.safetensors").string());
   if (!loaded) return loaded.status();
   DepthNetwork network = *loaded;
+  if (row.first_alone) network->config.steps.resize(1);
   for (const int steps : row.steps) {
     const Estimator estimator = network_estimator(network, steps, share);
     for (std::size_t i = 0; i < data.packs.size(); ++i) {
@@ -112,7 +119,8 @@ Status measure_row(const AblationRow& row, int seed, double share, const Data& d
                      pack.use.name.c_str(), result.missing, result.why_missing.text());
       }
       if (result.frames.empty()) continue;
-      scores.push_back({row.table, row.name, steps, seed, pack.use.name, result.mean});
+      scores.push_back(
+          {row.table, shown_name(row), row.preset, steps, seed, pack.use.name, result.mean});
     }
   }
   return Status::ok();
@@ -151,8 +159,9 @@ double milliseconds_of(const std::function<void()>& call) {
   return times[times.size() / 2];
 }
 
-// Of all numbers of steps in `rows`. Weights make no difference: nothing need be trained.
-Costs costs_of(const Recipe& recipe, const std::vector<AblationRow>& rows) {
+// Of one preset's network, for all numbers of steps in `rows`. Weights make no difference: nothing
+// need be trained.
+void add_costs(const Recipe& recipe, const std::vector<AblationRow>& rows, Costs& costs) {
   const torch::NoGradGuard no_grad;
   DepthNetwork network(model_config_of(recipe));
   network->eval();
@@ -161,13 +170,22 @@ Costs costs_of(const Recipe& recipe, const std::vector<AblationRow>& rows) {
                                     .contiguous(torch::MemoryFormat::ChannelsLast);
   torch::Tensor condition;
   const double shared = milliseconds_of([&] { condition = network->condition_of(picture); });
-  Costs costs;
   for (const AblationRow& row : rows) {
     for (const int steps : row.steps) {
-      if (costs.count(steps) > 0) continue;
+      const std::pair key(recipe.preset, steps);
+      if (row.preset != recipe.preset || costs.count(key) > 0) continue;
       const double sampler = milliseconds_of([&] { network->sample(condition, steps); });
-      costs[steps] = {gmac_of(network->config, size, steps), shared + sampler};
+      costs[key] = {gmac_of(network->config, size, steps), shared + sampler};
     }
+  }
+}
+
+Costs costs_of(const Recipe& recipe, const std::vector<AblationRow>& rows) {
+  Costs costs;
+  for (const PresetKind preset : {PresetKind::kLcdm, PresetKind::kPaper}) {
+    Recipe one = recipe;
+    one.preset = preset;
+    add_costs(one, rows, costs);
   }
   return costs;
 }
@@ -175,7 +193,7 @@ Costs costs_of(const Recipe& recipe, const std::vector<AblationRow>& rows) {
 Status write_csv(const fs::path& path, const std::vector<Score>& scores, const Costs& costs) {
   std::string text = "table,row,steps,seed,set,abs_rel,d1,gmac,milliseconds\n";
   for (const Score& s : scores) {
-    const Cost& cost = costs.at(s.steps);
+    const Cost& cost = costs.at({s.preset, s.steps});
     char figures[96];
     std::snprintf(figures, sizeof(figures), "%.5f,%.5f,%.5g,%.4g\n", s.metrics.abs_rel,
                   s.metrics.delta1, cost.gmac, cost.milliseconds);
@@ -198,8 +216,8 @@ std::string mean_and_spread(const std::vector<double>& values) {
 }
 
 // One line per row and number of steps, one column per set; where steps are compared, their cost.
-void add_table(HtmlPage& page, const std::string& table, const std::vector<Score>& scores,
-               const Costs& costs) {
+void add_table(HtmlPage& page, const std::string& table, PresetKind preset,
+               const std::vector<Score>& scores, const Costs& costs) {
   std::vector<std::string> sets;
   std::vector<std::pair<std::string, int>> lines;
   for (const Score& s : scores) {
@@ -227,8 +245,9 @@ void add_table(HtmlPage& page, const std::string& table, const std::vector<Score
       rows.back().push_back(mean_and_spread(abs_rel) + " / " + mean_and_spread(delta1));
     }
     if (!with_costs) continue;
-    rows.back().push_back(number_text(costs.at(steps).gmac, 4));
-    rows.back().push_back(number_text(costs.at(steps).milliseconds, 3));
+    const Cost& cost = costs.at({preset, steps});
+    rows.back().push_back(number_text(cost.gmac, 4));
+    rows.back().push_back(number_text(cost.milliseconds, 3));
   }
   page.table(header, rows);
 }
@@ -253,44 +272,57 @@ Status write_page(const fs::path& path, const Recipe& recipe, const AblationOpti
   const std::pair<const char*, const char*> titles[] = {
       {"losses", "Losses (the paper's table 7)"},
       {"steps", "Sampling steps (table 8)"},
-      {"normals", "Weight of the normal distillation (table 9; 0 is ID3, 1 is ID5)"}};
+      {"normals", "Weight of the normal distillation (table 9; 0 is ID3, 1 is ID5)"},
+      {"sampler", "What the second of two steps adds, with the paper's sampler and with ours"}};
   for (const auto& [table, title] : titles) {
     if (std::find(options.tables.begin(), options.tables.end(), table) == options.tables.end()) {
       continue;
     }
     page.heading(title);
-    add_table(page, table, scores, costs);
+    add_table(page, table, recipe.preset, scores, costs);
     if (std::string_view(table) == "steps") page.note(cost_note(recipe));
   }
   return page.write(path.string());
 }
 
 // Table 9. The weights 0 and 1 are networks of table 7.
-void add_normal_rows(const LossWeights& all, std::vector<AblationRow>& rows) {
+void add_normal_rows(const Recipe& recipe, const LossWeights& all, std::vector<AblationRow>& rows) {
   for (const double weight : {0.0, 0.1, 0.5, 1.0, 2.0, 10.0}) {
     LossWeights weights = all;
     weights.normals = weight;
     const std::string name = weight == 0   ? kWithoutNormals
                              : weight == 1 ? kAll
                                            : "lambda5 " + number_text(weight);
-    rows.push_back({"normals", name, weights, {kOwnSteps}});
+    rows.push_back({"normals", name, weights, recipe.preset, {kOwnSteps}});
+  }
+}
+
+// Both presets, stopped after the first of their two evaluations, and whole. The recipe's own is
+// the network of the other tables.
+void add_sampler_rows(const Recipe& recipe, const LossWeights& all,
+                      std::vector<AblationRow>& rows) {
+  for (const PresetKind preset : {PresetKind::kPaper, PresetKind::kLcdm}) {
+    const char* other = preset == PresetKind::kPaper ? " paper" : " lcdm";
+    const std::string name = preset == recipe.preset ? kAll : std::string(kAll) + other;
+    rows.push_back({"sampler", name, all, preset, {1}, true});
+    rows.push_back({"sampler", name, all, preset, {kOwnSteps}});
   }
 }
 
 }  // namespace
 
-std::vector<AblationRow> ablation_rows(const LossWeights& losses,
+std::vector<AblationRow> ablation_rows(const Recipe& recipe,
                                        const std::vector<std::string>& tables) {
   const auto wanted = [&tables](const char* table) {
     return std::find(tables.begin(), tables.end(), table) != tables.end();
   };
-  LossWeights all = losses;
+  LossWeights all = recipe.losses;
   all.photometric = all.denoising = all.distillation = all.normals = 1;
   all.smoothness = 1e-3;
   std::vector<AblationRow> rows;
-  const auto add = [&rows](const char* table, const std::string& name, const LossWeights& weights,
-                           const std::vector<int>& steps) {
-    rows.push_back({table, name, weights, steps});
+  const auto add = [&](const char* table, const std::string& name, const LossWeights& weights,
+                       const std::vector<int>& steps) {
+    rows.push_back({table, name, weights, recipe.preset, steps});
   };
   if (wanted("losses")) {
     LossWeights weights = all;
@@ -308,13 +340,14 @@ std::vector<AblationRow> ablation_rows(const LossWeights& losses,
     add("losses", kAll, all, {kOwnSteps});
   }
   if (wanted("steps")) add("steps", kAll, all, {0, 1, 2, 3, 5, 10});
-  if (wanted("normals")) add_normal_rows(all, rows);
+  if (wanted("normals")) add_normal_rows(recipe, all, rows);
+  if (wanted("sampler")) add_sampler_rows(recipe, all, rows);
   return rows;
 }
 
 Status ablate(const Recipe& recipe, const Data& data, const Compute& compute,
               const AblationOptions& options) {
-  const std::vector<AblationRow> rows = ablation_rows(recipe.losses, options.tables);
+  const std::vector<AblationRow> rows = ablation_rows(recipe, options.tables);
   Costs costs;
   std::vector<Score> scores;
   // Seed by seed: one that is stopped leaves whole tables.
@@ -323,9 +356,11 @@ Status ablate(const Recipe& recipe, const Data& data, const Compute& compute,
       Recipe one = recipe;
       one.seed = static_cast<std::uint64_t>(seed);
       one.losses = row.losses;
+      one.preset = row.preset;
       const fs::path folder = fs::path(options.folder) / folder_name(row, seed);
       std::printf("%s\n", folder.c_str());
       LCDM_RETURN_IF_ERROR(train_row(one, data, compute, folder));
+      if (must_stop()) return Status::ok();
       LCDM_RETURN_IF_ERROR(
           measure_row(row, seed, recipe.stages.back().share, data, folder, scores));
       if (costs.empty()) costs = costs_of(recipe, rows);

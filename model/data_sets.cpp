@@ -253,6 +253,12 @@ void add_data_options(CLI::App& command, DataOptions& options) {
       ->needs(pack);
 }
 
+void add_test_option(CLI::App& command, bool& test) {
+  command.add_flag("--test", test, "The test sets instead of the validation parts")
+      ->excludes(command.get_option("--every"))  // every frame of theirs counts
+      ->excludes(command.get_option("--scene-frames"));
+}
+
 Result<Data> load_training_data(const DataOptions& options) {
   const Result<Catalogue> catalogue = catalogue_for(options);
   if (!catalogue) return catalogue.status();

@@ -22,6 +22,8 @@ struct DataOptions {
   std::optional<std::size_t> scene_frames;
 };
 void add_data_options(CLI::App& command, DataOptions& options);
+// --test, for a command that has those.
+void add_test_option(CLI::App& command, bool& test);
 
 struct Data {
   std::string licence;

@@ -289,9 +289,7 @@ void add_evaluate(CLI::App& app, Status& status) {
                    "Motion blur of this many pixels of a 640 pixels wide picture")
       ->excludes(estimates)  // they are of the pictures as they were
       ->check(CLI::Range(0.0, 200.0));
-  command->add_flag("--test", options->test, "The test sets instead of the validation parts")
-      ->excludes(command->get_option("--every"))  // every frame of theirs counts
-      ->excludes(command->get_option("--scene-frames"));
+  add_test_option(*command, options->test);
   command->add_flag("--no-scaling", options->no_scaling,
                     "Metres as they come, not scaled by the medians");
   command->add_option("--frames", options->frames, "CSV file for the figures of every frame");

@@ -26,7 +26,7 @@ class Alone final : public Processes {
  public:
   int rank() const override { return 0; }
   int size() const override { return 1; }
-  void sum(torch::Tensor& /*values*/) override {}
+  Status sum(torch::Tensor& /*values*/) override { return Status::ok(); }
 };
 
 // A whole number of the environment.
@@ -45,6 +45,11 @@ Result<int> number_of(const char* name) {
 }
 
 #ifdef LCDM_C10D
+std::string first_line(const std::exception& error) {
+  const std::string what = error.what();
+  return what.substr(0, what.find('\n'));
+}
+
 template <typename Backend>
 class Group final : public Processes {
  public:
@@ -53,10 +58,18 @@ class Group final : public Processes {
 
   int rank() const override { return rank_; }
   int size() const override { return size_; }
-  void sum(torch::Tensor& values) override {
+  Status sum(torch::Tensor& values) override {
     std::vector<torch::Tensor> tensors = {values.to(device_)};
-    backend_->allreduce(tensors)->wait();
+    try {
+      backend_->allreduce(tensors)->wait();
+    } catch (const std::exception& error) {
+      return Status::error(StatusCode::kUnavailable,
+                           "another process of this training has gone (%s): look at what it said, "
+                           "and start all of them again",
+                           first_line(error).c_str());
+    }
     values.copy_(tensors[0]);
+    return Status::ok();
   }
 
  private:
@@ -126,9 +139,9 @@ Status no_backend(const torch::Device& device) {
 
 std::shared_ptr<Processes> alone() { return std::make_shared<Alone>(); }
 
-bool Processes::any(bool mine) {
+Result<bool> Processes::any(bool mine) {
   torch::Tensor value = torch::full({1}, mine ? 1.0 : 0.0, torch::kFloat32);
-  sum(value);
+  LCDM_RETURN_IF_ERROR(sum(value));
   return value.item<float>() > 0;
 }
 
@@ -157,9 +170,8 @@ Result<std::shared_ptr<Processes>> Processes::join(const torch::Device& device) 
     std::shared_ptr<Processes> group = make_group(device, store, *rank, *size);
     if (group != nullptr) return group;
   } catch (const std::exception& error) {
-    const std::string what = error.what();
     return Status::error(StatusCode::kUnavailable, "process %d of %d cannot join %s:%d: %s", *rank,
-                         *size, host, *port, what.substr(0, what.find('\n')).c_str());
+                         *size, host, *port, first_line(error).c_str());
   }
 #endif
   return no_backend(device);

@@ -20,11 +20,11 @@ class Processes {
 
   virtual int rank() const = 0;  // 0 saves and prints
   virtual int size() const = 0;
-  // `values` of all processes added up, in place, the same bytes in every process. Throws
-  // c10::Error where a process has gone.
-  virtual void sum(torch::Tensor& values) = 0;
-  // Whether it is so in any process.
-  bool any(bool mine);
+  // `values` of all processes added up, in place, the same bytes in every process. kUnavailable: a
+  // process has gone; `values` are then nothing.
+  virtual Status sum(torch::Tensor& values) = 0;
+  // Whether it is so in any process. Errors as sum.
+  Result<bool> any(bool mine);
 };
 
 // No others.

@@ -61,8 +61,8 @@ void Replicas::reduce() {
   }
 }
 
-void all_reduce(TrainedNetworks& networks, Processes& processes, Losses& losses) {
-  if (processes.size() == 1) return;
+Status all_reduce(TrainedNetworks& networks, Processes& processes, Losses& losses) {
+  if (processes.size() == 1) return Status::ok();
   const torch::NoGradGuard no_grad;
   std::vector<torch::Tensor> own;  // what is summed: gradients, then statistics
   for (const torch::Tensor& weight : networks->parameters()) {
@@ -81,7 +81,7 @@ void all_reduce(TrainedNetworks& networks, Processes& processes, Losses& losses)
   }
   flat.push_back(numbers);
   torch::Tensor all = torch::cat(flat);
-  processes.sum(all);
+  LCDM_RETURN_IF_ERROR(processes.sum(all));
   std::int64_t at = 0;
   for (torch::Tensor& tensor : own) {
     tensor.copy_(all.narrow(0, at, tensor.numel()).reshape(tensor.sizes()));
@@ -89,6 +89,7 @@ void all_reduce(TrainedNetworks& networks, Processes& processes, Losses& losses)
   }
   losses.total = all[at].clone();
   for (double& term : losses.terms) term = all[++at].item<double>();
+  return Status::ok();
 }
 
 }  // namespace lcdm::model

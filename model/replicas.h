@@ -30,7 +30,8 @@ class Replicas {
   std::vector<TrainedNetworks> networks_;
 };
 
-// The same over all processes, in each of them the same bytes; and the losses, added up.
-void all_reduce(TrainedNetworks& networks, Processes& processes, Losses& losses);
+// The same over all processes, in each of them the same bytes; and the losses, added up. Errors as
+// Processes::sum; gradients and statistics are then nothing.
+Status all_reduce(TrainedNetworks& networks, Processes& processes, Losses& losses);
 
 }  // namespace lcdm::model

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <map>
 #include <set>
 
 #include "firmware/nn/engine.h"
@@ -25,6 +26,7 @@ struct Options {
   DataOptions data;
   std::vector<std::string> models;
   std::string curve;
+  std::string validation;
   std::string output = "build/report.html";
   bool test = false;
 };
@@ -50,16 +52,13 @@ struct Candidate {
   double parameters = 0;  // millions; 0: none
 };
 
+// Millions. Of the file: layers of several sampling steps share theirs.
 double parameters_of(const ModelFile& file) {
-  const Result<Network> network = Network::build(file.config(), 640, 192);
-  if (!network) return 0;
   double count = 0;
-  for (const Layer& layer : network->layers()) {
-    for (const Parameter& parameter : layer.parameters) {
-      double size = 1;
-      for (const std::int64_t extent : parameter.shape) size *= static_cast<double>(extent);
-      count += size;
-    }
+  for (const auto& [name, tensor] : file.tensors()) {
+    double size = 1;
+    for (const std::int64_t extent : tensor.shape) size *= static_cast<double>(extent);
+    count += size;
   }
   return count * 1e-6;
 }
@@ -210,8 +209,57 @@ Status add_curve(HtmlPage& page, const std::string& path) {
       chart.series.push_back({name, joined(*steps), *values});
     }
   }
-  page.heading("Training");
   page.line_chart(chart);
+  return Status::ok();
+}
+
+// A line for each set that was validated on; `sets`, `steps` and `values` are of the same rows.
+Chart validation_chart(const std::string& title, const std::vector<std::string>& sets,
+                       const std::vector<double>& steps, const std::vector<double>& values) {
+  Chart chart;
+  chart.title = title;
+  chart.x_label = "step";
+  std::map<std::string, Series> series;
+  for (std::size_t i = 0; i < sets.size(); ++i) {
+    Series& of_set = series[sets[i]];
+    of_set.name = sets[i];
+    of_set.x.push_back(steps[i]);
+    of_set.y.push_back(values[i]);
+  }
+  for (const auto& [name, of_set] : series) chart.series.push_back(of_set);
+  return chart;
+}
+
+Status add_validation(HtmlPage& page, const std::string& path) {
+  const Result<CsvTable> table = read_csv(path);
+  if (!table) return table.status();
+  const auto sets = table->texts("set");
+  if (!sets) return sets.status();
+  std::map<std::string, std::vector<double>> columns;
+  for (const char* name : {"step", "abs_rel", "d1", "constant"}) {
+    const auto numbers = table->numbers(name);
+    if (!numbers) return numbers.status();
+    columns[name] = *numbers;
+  }
+  std::vector<double> shares = columns["abs_rel"];
+  for (std::size_t i = 0; i < shares.size(); ++i) shares[i] /= columns["constant"][i];
+  const std::vector<double> steps = joined(columns["step"]);
+  Chart chart =
+      validation_chart("Validation: AbsRel beside a constant depth's", *sets, steps, shares);
+  chart.y_label = "share of a constant depth's AbsRel";
+  page.line_chart(chart);
+  chart = validation_chart("Validation: d1", *sets, steps, columns["d1"]);
+  chart.y_label = "d1";
+  page.line_chart(chart);
+  return Status::ok();
+}
+
+// What a training wrote, where it is named.
+Status add_training(HtmlPage& page, const Options& options) {
+  if (options.curve.empty() && options.validation.empty()) return Status::ok();
+  page.heading("Training");
+  if (!options.curve.empty()) LCDM_RETURN_IF_ERROR(add_curve(page, options.curve));
+  if (!options.validation.empty()) LCDM_RETURN_IF_ERROR(add_validation(page, options.validation));
   return Status::ok();
 }
 
@@ -274,7 +322,7 @@ Status run(const Options& options) {
   page.note(
       "Points of different sets are not comparable with each other: published figures are of "
       "KITTI's Eigen split, ours of the sets named.");
-  if (!options.curve.empty()) LCDM_RETURN_IF_ERROR(add_curve(page, options.curve));
+  LCDM_RETURN_IF_ERROR(add_training(page, options));
   page.heading("Pictures");
   page.gallery(pictures);
   LCDM_RETURN_IF_ERROR(page.write(options.output));
@@ -294,7 +342,9 @@ void add_report(CLI::App& app, Status& status) {
       ->required();
   command->add_option("--curve", options->curve, "curve.csv of a training")
       ->check(CLI::ExistingFile);
-  command->add_flag("--test", options->test, "The test sets instead of the validation parts");
+  command->add_option("--validation", options->validation, "validation.csv of a training")
+      ->check(CLI::ExistingFile);
+  add_test_option(*command, options->test);
   command->add_option("--output", options->output, "The page")->capture_default_str();
   command->callback([options, &status] { status = run(*options); });
 }

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <csignal>
 #include <cstdio>
 #include <filesystem>
 
@@ -9,6 +8,7 @@
 #include "model/dry_run.h"
 #include "model/recipe_options.h"
 #include "model/safetensors.h"
+#include "model/stop_request.h"
 #include "model/trainer.h"
 #include "model/training_log.h"
 #include "model/unfolder.h"
@@ -20,8 +20,6 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::size_t kValidationFrames = 24;  // of each pack
-
-volatile std::sig_atomic_t stop_asked = 0;
 
 struct Options {
   RecipeOptions recipe;
@@ -100,10 +98,12 @@ class Run {
     std::optional<TrainingLog> log;
     const std::int64_t begun = trainer_.step();
     if (leads_) log.emplace(folder_, begun, recipe_.steps);
-    while (!trainer_.done() && !processes.any(stop_asked != 0)) {
-      const Result<Losses> losses = trainer_.advance();
+    while (!trainer_.done()) {
+      const Result<bool> stops = processes.any(must_stop());
+      if (stops && *stops) break;
+      const Result<Losses> losses = stops ? trainer_.advance() : stops.status();
       if (!losses) {
-        if (leads_ && trainer_.step() > begun && is_of_data(losses.status())) save_for_later();
+        if (leads_ && trainer_.step() > begun && spares_weights(losses.status())) save_for_later();
         return losses.status();
       }
       if (!log) continue;
@@ -122,9 +122,10 @@ class Run {
   }
 
  private:
-  // Whether frames could not be read: the weights are then as good as they were. A fault of the
-  // training itself (kCorrupt too) may have spoilt them, or the statistics, before it was noticed.
-  bool is_of_data(const Status& fault) const {
+  // Whether frames could not be read, or another process has gone: the weights are then as good as
+  // they were. A fault of the training itself (kCorrupt too) may have spoilt them before it was
+  // noticed.
+  bool spares_weights(const Status& fault) const {
     return fault.code() != StatusCode::kCorrupt || !trainer_.frames().check();
   }
 
@@ -134,7 +135,7 @@ class Run {
       std::fprintf(stderr, "what was trained is lost: %s\n", saved.text());
       return;
     }
-    std::fprintf(stderr, "saved at step %lld: mend the data and go on with --resume\n",
+    std::fprintf(stderr, "saved at step %lld: mend what stopped it and go on with --resume\n",
                  static_cast<long long>(trainer_.step()));
   }
 
@@ -172,16 +173,6 @@ std::string licence_of(const ModelConfig& config, const Data& data) {
   if (config.licence.empty() || config.licence == data.licence) return data.licence;
   if (config.licence.rfind(data.licence, 0) == 0) return config.licence;  // a run that goes on
   return data.licence + "; started from weights under: " + config.licence;
-}
-
-// Ctrl-C, SIGTERM and a closed terminal stop it behind its step. One that is ignored at the start,
-// as SIGHUP under nohup, stays so.
-void stop_on_signals() {
-  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
-    const auto before = std::signal(signal, [](int) { stop_asked = 1; });
-    if (before == SIG_IGN) std::signal(signal, SIG_IGN);
-  }
-  std::signal(SIGPIPE, SIG_IGN);  // who reads what it prints may go: it trains on
 }
 
 // A new training would replace the folder's checkpoint, best state and curve.

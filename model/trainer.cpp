@@ -350,6 +350,17 @@ Status diverged(const Divergence& divergence, std::int64_t step) {
 }  // namespace
 
 Result<Losses> Trainer::advance() {
+  std::vector<torch::Tensor> before;
+  for (const torch::Tensor& statistic : networks_->buffers()) before.push_back(statistic.clone());
+  Result<Losses> losses = take_step();
+  if (losses) return losses;
+  const std::vector<torch::Tensor> now = networks_->buffers();
+  for (std::size_t i = 0; i < now.size(); ++i) now[i].copy_(before[i]);
+  replicas_->broadcast_statistics();
+  return losses;
+}
+
+Result<Losses> Trainer::take_step() {
   prepare_loader();
   LCDM_RETURN_IF_ERROR(measure_new_head());
   set_modes();
@@ -365,7 +376,7 @@ Result<Losses> Trainer::advance() {
     losses.add(run_batch(*batch, k));
   }
   replicas_->reduce();
-  all_reduce(networks_, *compute_.processes, losses);
+  LCDM_RETURN_IF_ERROR(all_reduce(networks_, *compute_.processes, losses));
   replicas_->broadcast_statistics();
   if (!std::isfinite(losses.total.item<double>())) return not_finite(losses, step_);
   divergence_.add(losses.total.item<double>(), phase_at(step_));

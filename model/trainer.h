@@ -58,7 +58,8 @@ class Trainer {
   bool has_head() const { return newest_phase().head; }
   // One optimiser step. kCorrupt where too many frames cannot be read (batch.h), where the loss or
   // a gradient is not finite, or losses stay far above what they were (divergence.h): what and
-  // when; the weights are then those before the step.
+  // when; kUnavailable where another process has gone. Weights and statistics are then those before
+  // the step.
   Result<Losses> advance();
 
   // Starts the depth network from weights trained before, also of a smaller encoder (widener.h);
@@ -114,6 +115,8 @@ class Trainer {
   bool freezes_a_young_head() const;
   // The average and the replicas become what `networks_` is.
   void spread_weights();
+  // As advance, but a fault may leave statistics of half a step.
+  Result<Losses> take_step();
   void prepare_loader();
   void set_modes();
   // Losses and gradients of batch `k` of this step, shared among the workers.

@@ -17,8 +17,9 @@ namespace {
 namespace fs = std::filesystem;
 
 TEST(AblationRows, AreThoseOfTheTables) {
-  const std::vector<AblationRow> rows = ablation_rows({}, {"losses", "steps", "normals"});
-  ASSERT_EQ(rows.size(), 5U + 1 + 6);
+  const std::vector<AblationRow> rows =
+      ablation_rows({}, {"losses", "steps", "normals", "sampler"});
+  ASSERT_EQ(rows.size(), 5U + 1 + 6 + 4);
   const LossWeights& first = rows[0].losses;
   EXPECT_EQ(first.photometric, 1);
   EXPECT_EQ(first.denoising + first.distillation + first.normals + first.gradient, 0);
@@ -34,6 +35,12 @@ TEST(AblationRows, AreThoseOfTheTables) {
   EXPECT_EQ(rows[7].losses.normals, 0.1);
   EXPECT_EQ(rows[9].losses.normals, 1);
   EXPECT_EQ(rows[9].name, rows[4].name);
+  EXPECT_EQ(rows[12].preset, PresetKind::kPaper);
+  EXPECT_NE(rows[12].name, rows[4].name);
+  EXPECT_TRUE(rows[12].first_alone);
+  EXPECT_FALSE(rows[13].first_alone);
+  EXPECT_EQ(rows[14].preset, PresetKind::kLcdm);
+  EXPECT_EQ(rows[14].name, rows[4].name);
 }
 
 // Two seeds of one network on a few rendered frames, two steps each.
@@ -110,13 +117,24 @@ TEST_F(Ablation, SaysWhatAFrameCosts) {
   for (const double milliseconds : column("milliseconds")) EXPECT_GT(milliseconds, 0);
 }
 
+// MODEL.md section 3: two steps of the paper's sampler are its first alone, and not of ours.
+TEST_F(Ablation, ShowsThatThePapersSecondStepDoesNothing) {
+  options_.tables = {"sampler"};
+  options_.seeds = 1;
+  ASSERT_TRUE(run());
+  const std::vector<double> abs_rel = column("abs_rel");
+  ASSERT_EQ(abs_rel.size(), 4U);
+  EXPECT_NEAR(abs_rel[1], abs_rel[0], 0.02 * abs_rel[0]);
+  EXPECT_GT(std::abs(abs_rel[3] - abs_rel[2]), 0.02 * abs_rel[2]);
+}
+
 // Stopped after one step of two, it ends where it would have.
 TEST_F(Ablation, GoesOnWhereItStopped) {
   options_.seeds = 1;
   ASSERT_TRUE(run());
   const auto unbroken = weights();
   Recipe first = recipe_;
-  first.losses = ablation_rows(recipe_.losses, {"steps"})[0].losses;
+  first.losses = ablation_rows(recipe_, {"steps"})[0].losses;
   const auto trainer = Trainer::make(first, data_.packs, one_cpu());
   ASSERT_TRUE(trainer);
   ASSERT_TRUE((*trainer)->advance());

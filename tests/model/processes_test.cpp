@@ -53,15 +53,15 @@ class ProcessesTest : public testing::Test {
   void train_both(const std::string& output, const std::vector<std::string>& more) const {
     train_both_at(free_port(), "False", output, more);
   }
+  static std::vector<std::string> environment(int rank, int port, const std::string& agent) {
+    return {"WORLD_SIZE=2", "MASTER_ADDR=127.0.0.1", "MASTER_PORT=" + std::to_string(port),
+            "TORCHELASTIC_USE_AGENT_STORE=" + agent, "RANK=" + std::to_string(rank)};
+  }
   void train_both_at(int port, const std::string& agent, const std::string& output,
                      const std::vector<std::string>& more) const {
-    const auto environment = [&](const char* rank) -> std::vector<std::string> {
-      return {"WORLD_SIZE=2", "MASTER_ADDR=127.0.0.1", "MASTER_PORT=" + std::to_string(port),
-              "TORCHELASTIC_USE_AGENT_STORE=" + agent, rank};
-    };
     const std::vector<std::string> each = arguments(output, "1", "0.25:2:1", more);
-    test::Program first(LCDM_TRAIN_PROGRAM, each, environment("RANK=0"));
-    test::Program second(LCDM_TRAIN_PROGRAM, each, environment("RANK=1"));
+    test::Program first(LCDM_TRAIN_PROGRAM, each, environment(0, port, agent));
+    test::Program second(LCDM_TRAIN_PROGRAM, each, environment(1, port, agent));
     ASSERT_EQ(first.wait(300), 0) << first.text();
     ASSERT_EQ(second.wait(300), 0) << second.text();
   }
@@ -107,16 +107,30 @@ TEST_F(ProcessesTest, TwoHaveTheGradientOfOne) {
   EXPECT_LT(std::sqrt(apart), 1e-3 * std::sqrt(all));
 }
 
+// As a machine that fails, or runs out of memory.
+TEST_F(ProcessesTest, WhenOneIsKilledTheFirstSavesWhatBothTrained) {
+  const int port = free_port();
+  const auto each = arguments("both", "1", "0.25:2:1", {"--steps", "100000"});
+  test::Program first(LCDM_TRAIN_PROGRAM, each, environment(0, port, "False"));
+  test::Program second(LCDM_TRAIN_PROGRAM, each, environment(1, port, "False"));
+  ASSERT_TRUE(first.wait_for("25/100000", 120)) << first.text();
+  kill(second.pid(), SIGKILL);
+  EXPECT_EQ(first.wait(60), 1) << first.text();
+  EXPECT_NE(first.text().find("another process of this training has gone"), std::string::npos)
+      << first.text();
+  const auto saved = weights_of("both");
+  ASSERT_TRUE(saved) << first.text();
+  const auto step = saved->tensors.at("trainer.step")[0].item<std::int64_t>();
+  EXPECT_GE(step, 25);
+  train_both("both", {"--steps", std::to_string(step + 2), "--resume"});
+}
+
 // Each would write the other's tables.
 TEST_F(ProcessesTest, TwoDoNotAblate) {
-  const std::string port = "MASTER_PORT=" + std::to_string(free_port());
-  const std::vector<std::string> both = {"WORLD_SIZE=2", "MASTER_ADDR=127.0.0.1", port};
-  std::vector<std::vector<std::string>> each = {both, both};
-  each[0].emplace_back("RANK=0");
-  each[1].emplace_back("RANK=1");
+  const int port = free_port();
   const std::vector<std::string> ablate = {"ablate", "--output", folder_.file("tables")};
-  test::Program first(LCDM_TRAIN_PROGRAM, ablate, each[0]);
-  test::Program second(LCDM_TRAIN_PROGRAM, ablate, each[1]);
+  test::Program first(LCDM_TRAIN_PROGRAM, ablate, environment(0, port, "False"));
+  test::Program second(LCDM_TRAIN_PROGRAM, ablate, environment(1, port, "False"));
   EXPECT_EQ(first.wait(60), 2) << first.text();
   EXPECT_EQ(second.wait(60), 2) << second.text();
   EXPECT_NE(first.text().find("without torchrun"), std::string::npos) << first.text();
@@ -145,8 +159,8 @@ TEST_F(ProcessesTest, WithoutAnEnvironmentThereIsOne) {
   const auto processes = Processes::join(torch::kCPU);
   ASSERT_TRUE(processes) << processes.status().text();
   EXPECT_EQ((*processes)->size(), 1);
-  EXPECT_TRUE((*processes)->any(true));
-  EXPECT_FALSE((*processes)->any(false));
+  EXPECT_TRUE((*processes)->any(true).value());
+  EXPECT_FALSE((*processes)->any(false).value());
 }
 
 }  // namespace

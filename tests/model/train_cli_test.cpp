@@ -68,7 +68,9 @@ TEST_F(TrainCli, RefusesOptionsThatWouldDoNothing) {
   expect_refusal({"evaluate", "--model", model, "--steps", "2"}, 2,
                  "--steps requires --checkpoint");
   for (const std::string option : {"--every", "--scene-frames"}) {
-    expect_refusal({"evaluate", "--model", model, "--test", option, "2"}, 2, option);
+    for (const std::string command : {"evaluate", "report"}) {
+      expect_refusal({command, "--model", model, "--test", option, "2"}, 2, option);
+    }
   }
   for (const std::string option : {"--output", "--name", "--card", "--licence", "--start"}) {
     expect_refusal(

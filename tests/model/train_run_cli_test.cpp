@@ -141,6 +141,26 @@ TEST_F(TrainRun, ResumedItSaysThatItDoesNotStartFromOtherWeights) {
   EXPECT_THAT(resumed.text(), HasSubstr(other + " is not used with --resume"));
 }
 
+// Its tables come of whole trainings only.
+TEST_F(TrainRun, AnAblationThatIsStoppedGoesOnWhereItWas) {
+  const std::string tables = folder_.file("tables");
+  const std::vector<std::string> ablate = {
+      "ablate",  "--pack",    write_pack(), "--video", "--scene-frames", "0",         "--every",
+      "40",      "--encoder", "xxs",        "--stage", "0.2:2:1",        "--workers", "1",
+      "--steps", "60",        "--tables",   "steps",   "--output",       tables};
+  test::Program stopped(LCDM_TRAIN_PROGRAM, ablate);
+  ASSERT_TRUE(stopped.wait_for("25/60", 60)) << stopped.text();
+  kill(stopped.pid(), SIGHUP);
+  ASSERT_EQ(stopped.wait(), 0) << stopped.text();
+  EXPECT_TRUE(fs::exists(tables + "/ID5-all-seed1/checkpoint.safetensors"));
+  EXPECT_FALSE(fs::exists(tables + "/ablation.csv"));
+  test::Program resumed(LCDM_TRAIN_PROGRAM, ablate);
+  ASSERT_EQ(resumed.wait(120), 0) << resumed.text();
+  EXPECT_THAT(resumed.text(), Not(HasSubstr("25/60")));
+  EXPECT_THAT(resumed.text(), HasSubstr("60/60"));
+  EXPECT_TRUE(fs::exists(tables + "/ablation.csv"));
+}
+
 TEST_F(TrainRun, ADryRunSaysWhatItWouldTakeAndLeavesNothing) {
   test::Program program(LCDM_TRAIN_PROGRAM, training("run", 1000, {"--dry-run"}));
   ASSERT_EQ(program.wait(), 0) << program.text();

@@ -45,6 +45,40 @@ TEST(Trainer, ResumesBitExactlyWhenTheyAreFrozen) {
 }
 TEST(Trainer, ResumesBitExactlyWithMuon) { expect_exact_resume(1, OptimizerKind::kMuon); }
 
+// One of two, whose other one sends the same and goes after `steps` steps.
+class Deserted final : public Processes {
+ public:
+  explicit Deserted(int steps) : left_(steps) {}
+  int rank() const override { return 0; }
+  int size() const override { return 2; }
+  Status sum(torch::Tensor& values) override {
+    if (left_-- == 0) return Status::error(StatusCode::kUnavailable, "gone");
+    values.mul_(2);
+    return Status::ok();
+  }
+
+ private:
+  int left_;
+};
+
+// Gradients and statistics of its own part are made by then.
+TEST(Trainer, IsAsBeforeTheStepInWhichAnotherProcessGoes) {
+  at::set_num_threads(1);
+  Compute compute = one_cpu();
+  compute.processes = std::make_shared<Deserted>(2);
+  Recipe recipe = small_recipe();
+  recipe.workers = 2;
+  const auto trainer = Trainer::make(recipe, scene_packs(), compute);
+  ASSERT_TRUE(trainer) << trainer.status().text();
+  for (int i = 0; i < 2; ++i) ASSERT_TRUE((*trainer)->advance());
+  const auto before = state_of(**trainer);
+  EXPECT_EQ((*trainer)->advance().code(), StatusCode::kUnavailable);
+  EXPECT_EQ((*trainer)->step(), 2);
+  for (const auto& [name, tensor] : state_of(**trainer)) {
+    EXPECT_TRUE(torch::equal(tensor, before.at(name))) << name;
+  }
+}
+
 // A checkpoint of an older program names the sizes of then.
 TEST(Trainer, ResumesWithTheSizesItTrainsAtFromNowOn) {
   const test::TemporaryFolder folder;
