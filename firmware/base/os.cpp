@@ -17,6 +17,10 @@
 #include <time.h>
 #include <unistd.h>
 
+#ifdef __SANITIZE_ADDRESS__
+#include <sanitizer/asan_interface.h>
+#endif
+
 namespace lcdm::os {
 namespace {
 
@@ -95,9 +99,23 @@ Result<std::byte*> allocate_pages(std::size_t bytes) {
   return memory;
 }
 
+// What is mapped there next must not find it forbidden.
 void free_pages(std::byte* memory, std::size_t bytes) noexcept {
+  allow_memory(memory, bytes);
   if (memory != nullptr) munmap(memory, bytes);
 }
+
+#ifdef __SANITIZE_ADDRESS__
+void forbid_memory(const std::byte* memory, std::size_t bytes) noexcept {
+  ASAN_POISON_MEMORY_REGION(memory, bytes);
+}
+void allow_memory(const std::byte* memory, std::size_t bytes) noexcept {
+  ASAN_UNPOISON_MEMORY_REGION(memory, bytes);
+}
+#else
+void forbid_memory(const std::byte*, std::size_t) noexcept {}
+void allow_memory(const std::byte*, std::size_t) noexcept {}
+#endif
 
 Status lock_pages(std::byte* memory, std::size_t bytes) {
   if (mlock(memory, bytes) == 0) return Status::ok();

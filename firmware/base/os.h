@@ -37,6 +37,17 @@ constexpr std::size_t kHugePageBytes = std::size_t{2} << 20;
 Result<std::byte*> allocate_pages(std::size_t bytes);
 void free_pages(std::byte* memory, std::size_t bytes) noexcept;
 
+// In programs with AddressSanitizer pieces of one block lie so far apart, and what no piece has is
+// forbidden: it reports who runs over a piece's end. Elsewhere they touch, and nothing is
+// forbidden.
+#ifdef __SANITIZE_ADDRESS__
+constexpr std::size_t kGuardBytes = 1024;
+#else
+constexpr std::size_t kGuardBytes = 0;
+#endif
+void forbid_memory(const std::byte* memory, std::size_t bytes) noexcept;
+void allow_memory(const std::byte* memory, std::size_t bytes) noexcept;
+
 // Whether the kernel gives huge pages to those who ask. `sysfs`: where it is mounted.
 bool gives_huge_pages(const std::string& sysfs = "/sys");
 

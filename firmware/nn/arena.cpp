@@ -2,8 +2,6 @@
 
 #include <utility>
 
-#include "firmware/base/os.h"
-
 namespace lcdm {
 
 Result<Arena> Arena::allocate(std::size_t bytes) {

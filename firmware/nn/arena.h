@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <span>
 
+#include "firmware/base/os.h"
 #include "firmware/base/status.h"
 
 namespace lcdm {
@@ -24,6 +25,13 @@ class Arena {
   bool locked() const { return locked_; }
   // `count` floats from byte `offset`, which is a multiple of 4; within the block, checked.
   std::span<float> floats(std::size_t offset, std::size_t count) const;
+
+  // With AddressSanitizer nothing of it may be touched any more, and then only what is allowed
+  // again (os::kGuardBytes).
+  void forbid() const { os::forbid_memory(memory_, bytes_); }
+  void allow(std::size_t offset, std::size_t bytes) const {
+    os::allow_memory(memory_ + offset, bytes);
+  }
 
  private:
   std::byte* memory_ = nullptr;

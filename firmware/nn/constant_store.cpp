@@ -7,15 +7,23 @@
 #include "firmware/nn/memory_plan.h"
 
 namespace lcdm {
+namespace {
+
+std::size_t room_of(std::size_t count) {
+  return MemoryPlan::aligned(count * sizeof(float)) + os::kGuardBytes;
+}
+
+}  // namespace
 
 std::span<float> ConstantStore::Block::take(std::size_t count) {
   const std::span<float> piece = memory.floats(used, count);
-  used += MemoryPlan::aligned(count * sizeof(float));
+  memory.allow(used, piece.size_bytes());
+  used += room_of(count);
   return piece;
 }
 
 Result<std::span<float>> ConstantStore::add(std::size_t count) {
-  const std::size_t bytes = MemoryPlan::aligned(count * sizeof(float));
+  const std::size_t bytes = room_of(count);
   for (Block& block : blocks_) {
     if (block.memory.bytes() - block.used >= bytes) return block.take(count);
   }
@@ -23,6 +31,7 @@ Result<std::span<float>> ConstantStore::add(std::size_t count) {
       std::max<std::size_t>(1, (bytes + os::kHugePageBytes - 1) / os::kHugePageBytes);
   Result<Arena> memory = Arena::allocate(pages * os::kHugePageBytes);
   if (!memory) return memory.status();
+  memory->forbid();
   blocks_.push_back({std::move(*memory), 0});
   return blocks_.back().take(count);
 }

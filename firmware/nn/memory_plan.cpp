@@ -27,7 +27,10 @@ std::size_t first_gap(const std::vector<Range>& taken, std::size_t bytes) {
 
 }  // namespace
 
-MemoryPlan plan_memory(std::span<const Lifetime> lifetimes) {
+MemoryPlan plan_memory(std::span<const Lifetime> lifetimes, std::size_t gap) {
+  const auto room_of = [gap](const Lifetime& block) {
+    return block.bytes > 0 ? MemoryPlan::aligned(block.bytes + gap) : 0;
+  };
   std::vector<std::size_t> order(lifetimes.size());
   std::iota(order.begin(), order.end(), 0U);
   std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
@@ -42,11 +45,11 @@ MemoryPlan plan_memory(std::span<const Lifetime> lifetimes) {
     for (const std::size_t other : placed) {
       if (!live_together(lifetimes[block], lifetimes[other])) continue;
       const std::size_t begin = plan.offsets[other];
-      taken.push_back({begin, begin + MemoryPlan::aligned(lifetimes[other].bytes)});
+      taken.push_back({begin, begin + room_of(lifetimes[other])});
     }
     std::sort(taken.begin(), taken.end(),
               [](const Range& a, const Range& b) { return a.begin < b.begin; });
-    const std::size_t bytes = MemoryPlan::aligned(lifetimes[block].bytes);
+    const std::size_t bytes = room_of(lifetimes[block]);
     plan.offsets[block] = first_gap(taken, bytes);
     plan.bytes = std::max(plan.bytes, plan.offsets[block] + bytes);
     placed.push_back(block);

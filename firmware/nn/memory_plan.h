@@ -27,7 +27,8 @@ struct MemoryPlan {
 };
 
 // First fit by falling size: each block goes to the lowest offset where no block already placed
-// lives at the same time. Depends on its arguments alone.
-MemoryPlan plan_memory(std::span<const Lifetime> lifetimes);
+// lives at the same time. `gap` bytes behind each belong to no block that does. Depends on its
+// arguments alone.
+MemoryPlan plan_memory(std::span<const Lifetime> lifetimes, std::size_t gap = 0);
 
 }  // namespace lcdm

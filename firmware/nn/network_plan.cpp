@@ -33,7 +33,7 @@ std::size_t bytes_of(const Layer& layer) {
 
 }  // namespace
 
-NetworkPlan plan_network(const Network& network, bool keep_tensors) {
+NetworkPlan plan_network(const Network& network, bool keep_tensors, std::size_t gap) {
   const std::vector<Layer>& layers = network.layers();
   const int end = static_cast<int>(layers.size()) - 1;
   const std::vector<int> moments = moments_of(network);
@@ -50,7 +50,7 @@ NetworkPlan plan_network(const Network& network, bool keep_tensors) {
     for (const Source& source : layer.inputs) used_here(source.layer);
     if (layer.residual >= 0) used_here(layer.residual);
   }
-  plan.memory = plan_memory(plan.lifetimes);
+  plan.memory = plan_memory(plan.lifetimes, gap);
   return plan;
 }
 

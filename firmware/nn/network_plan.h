@@ -17,8 +17,8 @@ struct NetworkPlan {
 };
 
 // The sampler's start is a constant and takes no place. `keep_tensors`: nothing is reused, so that
-// every output can be read after a run.
-NetworkPlan plan_network(const Network& network, bool keep_tensors);
+// every output can be read after a run. `gap`: as plan_memory's.
+NetworkPlan plan_network(const Network& network, bool keep_tensors, std::size_t gap = 0);
 
 struct PlanRow {
   std::string name;

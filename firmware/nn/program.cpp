@@ -1,6 +1,7 @@
 #include "firmware/nn/program.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "firmware/base/os.h"
 #include "firmware/nn/noise.h"
@@ -9,7 +10,7 @@ namespace lcdm {
 namespace {
 
 // Far more than ours take at any size, and what a board can do without.
-constexpr std::size_t kMostArenaBytes = 512U << 20;
+constexpr std::size_t kMostBytes = 512U << 20;
 
 // The sampler's start, as a constant.
 Result<std::span<float>> make_start(const Network& network, ConstantStore& constants) {
@@ -22,75 +23,125 @@ Result<std::span<float>> make_start(const Network& network, ConstantStore& const
   return start;
 }
 
+bool lives_at(const Lifetime& life, int layer) { return life.first <= layer && layer <= life.last; }
+
 }  // namespace
 
 Result<Program> Program::build(const Network& network, const ModelFile& model,
                                const Options& options) {
-  const NetworkPlan plan = plan_network(network, options.keep_tensors);
-  if (plan.memory.bytes > kMostArenaBytes && !options.keep_tensors) {
-    return Status::error(
-        StatusCode::kInvalidInput,
-        "this model's layers need %zu MB at %dx%d, at most %zu are given: choose a "
-        "smaller model.width and model.height, or another model",
-        plan.memory.bytes >> 20, network.width(), network.height(), kMostArenaBytes >> 20);
-  }
   Program program;
-  Result<Arena> arena = Arena::allocate(plan.memory.bytes);
-  if (!arena) return arena.status();
-  program.arena_ = std::move(*arena);
-
-  for (std::size_t i = 0; i < network.layers().size(); ++i) {
-    const Layer& layer = network.layers()[i];
-    if (layer.kind == LayerKind::kStart) {
-      const Result<std::span<float>> start = make_start(network, program.constants_);
-      if (!start) return start.status();
-      program.tensors_.push_back(*start);
-    } else if (plan.lifetimes[i].bytes == 0) {
-      program.tensors_.emplace_back();
-    } else {
-      program.tensors_.push_back(
-          program.arena_.floats(plan.memory.offsets[i], layer.output.count()));
-    }
-  }
-  for (std::size_t i = 0; i < network.layers().size(); ++i) {
-    LCDM_RETURN_IF_ERROR(lower_layer(network, static_cast<int>(i), model, program.tensors_,
-                                     options.lowering, program.constants_, program.steps_));
-    program.layer_of_step_.resize(program.steps_.size(), i);
-  }
-
-  std::size_t scratch_bytes = 0;
-  for (const auto& step : program.steps_) {
-    scratch_bytes =
-        std::max(scratch_bytes, MemoryPlan::aligned(step->scratch_floats() * sizeof(float)));
-  }
-  Result<Arena> scratch =
-      Arena::allocate(scratch_bytes * static_cast<std::size_t>(options.workers));
-  if (!scratch) return scratch.status();
-  program.scratch_ = std::move(*scratch);
-  program.scratch_floats_ = scratch_bytes / sizeof(float);
+  program.plan_ = plan_network(network, options.keep_tensors, os::kGuardBytes);
+  LCDM_RETURN_IF_ERROR(program.check_memory(network, options));
+  LCDM_RETURN_IF_ERROR(program.place_tensors(network));
+  LCDM_RETURN_IF_ERROR(program.lower(network, model, options));
+  LCDM_RETURN_IF_ERROR(program.make_scratch(options.workers));
+  program.allow_results();
   return program;
 }
 
-void Program::run_step(const Step& step, WorkerPool& pool) const noexcept {
+// Of all that is known to be needed so far, whether it is there already or not.
+Status Program::check_memory(const Network& network, const Options& options) const {
+  const std::size_t layers = plan_.memory.bytes;
+  const std::size_t weights = constants_.bytes();
+  const std::size_t scratch = scratch_pitch_ * static_cast<std::size_t>(options.workers);
+  const std::size_t bytes = layers + weights + scratch;
+  if (bytes <= kMostBytes || options.keep_tensors) return Status::ok();
+  return Status::error(StatusCode::kInvalidInput,
+                       "this model needs %zu MB or more at %dx%d (layers %zu, weights %zu, scratch "
+                       "%zu), at most %zu are given: choose a smaller model.width and "
+                       "model.height, fewer model.threads, or another model",
+                       bytes >> 20, network.width(), network.height(), layers >> 20, weights >> 20,
+                       scratch >> 20, kMostBytes >> 20);
+}
+
+Status Program::place_tensors(const Network& network) {
+  Result<Arena> arena = Arena::allocate(plan_.memory.bytes);
+  if (!arena) return arena.status();
+  arena_ = std::move(*arena);
+  for (std::size_t i = 0; i < network.layers().size(); ++i) {
+    const Layer& layer = network.layers()[i];
+    if (layer.kind == LayerKind::kStart) {
+      const Result<std::span<float>> start = make_start(network, constants_);
+      if (!start) return start.status();
+      tensors_.push_back(*start);
+    } else if (plan_.lifetimes[i].bytes == 0) {
+      tensors_.emplace_back();
+    } else {
+      tensors_.push_back(arena_.floats(plan_.memory.offsets[i], layer.output.count()));
+    }
+  }
+  return Status::ok();
+}
+
+Status Program::lower(const Network& network, const ModelFile& model, const Options& options) {
+  for (std::size_t i = 0; i < network.layers().size(); ++i) {
+    LCDM_RETURN_IF_ERROR(lower_layer(network, static_cast<int>(i), model, tensors_,
+                                     options.lowering, constants_, steps_));
+    for (std::size_t step = layer_of_step_.size(); step < steps_.size(); ++step) {
+      const std::size_t bytes = steps_[step]->scratch_floats() * sizeof(float);
+      scratch_pitch_ = std::max(scratch_pitch_, MemoryPlan::aligned(bytes) + os::kGuardBytes);
+    }
+    layer_of_step_.resize(steps_.size(), static_cast<int>(i));
+    LCDM_RETURN_IF_ERROR(check_memory(network, options));
+  }
+  return Status::ok();
+}
+
+Status Program::make_scratch(int workers) {
+  Result<Arena> scratch = Arena::allocate(scratch_pitch_ * static_cast<std::size_t>(workers));
+  if (!scratch) return scratch.status();
+  scratch_ = std::move(*scratch);
+  return Status::ok();
+}
+
+// With AddressSanitizer a step can touch, of the activations, those that live then, and as much
+// scratch as it asked for; between runs input and depth can be, and what is kept.
+void Program::allow_tensors(int layer, int other_layer) const noexcept {
+  if (os::kGuardBytes == 0) return;
+  arena_.forbid();
+  for (std::size_t i = 0; i < plan_.lifetimes.size(); ++i) {
+    const Lifetime& life = plan_.lifetimes[i];
+    if (!lives_at(life, layer) && !lives_at(life, other_layer)) continue;
+    arena_.allow(plan_.memory.offsets[i], life.bytes);
+  }
+}
+
+void Program::allow_scratch(std::size_t floats, int workers) const noexcept {
+  if (os::kGuardBytes == 0) return;
+  scratch_.forbid();
+  for (std::size_t worker = 0; worker < static_cast<std::size_t>(workers); ++worker) {
+    scratch_.allow(worker * scratch_pitch_, floats * sizeof(float));
+  }
+}
+
+void Program::allow_results() const noexcept {
+  allow_tensors(0, static_cast<int>(tensors_.size()) - 1);
+}
+
+void Program::run_step(std::size_t index, WorkerPool& pool) const noexcept {
+  const Step& step = *steps_[index];
+  allow_tensors(layer_of_step_[index], layer_of_step_[index]);
+  allow_scratch(step.scratch_floats(), pool.workers());
   pool.run([&](int worker) {
-    const std::size_t offset = static_cast<std::size_t>(worker) * scratch_floats_;
-    float* scratch = scratch_.floats(offset * sizeof(float), scratch_floats_).data();
-    step.run(worker, pool.workers(), scratch);
+    const std::size_t offset = static_cast<std::size_t>(worker) * scratch_pitch_;
+    step.run(worker, pool.workers(), scratch_.floats(offset, step.scratch_floats()).data());
   });
 }
 
 void Program::run(WorkerPool& pool) const noexcept {
-  for (const auto& step : steps_) run_step(*step, pool);
+  for (std::size_t i = 0; i < steps_.size(); ++i) run_step(i, pool);
+  allow_results();
 }
 
 void Program::run_timed(WorkerPool& pool, std::span<std::int64_t> layer_ns) const noexcept {
   std::int64_t before = os::monotonic_ns();
   for (std::size_t i = 0; i < steps_.size(); ++i) {
-    run_step(*steps_[i], pool);
+    run_step(i, pool);
     const std::int64_t after = os::monotonic_ns();
-    layer_ns[layer_of_step_[i]] += after - before;
+    layer_ns[static_cast<std::size_t>(layer_of_step_[i])] += after - before;
     before = after;
   }
+  allow_results();
 }
 
 }  // namespace lcdm

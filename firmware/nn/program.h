@@ -40,6 +40,7 @@ class Program {
   };
 
   // The model must have passed network.check_weights(); it may be dropped afterwards.
+  // kInvalidInput: it would take more memory than a board has to give; kOutOfMemory.
   static Result<Program> build(const Network& network, const ModelFile& model,
                                const Options& options);
 
@@ -54,21 +55,30 @@ class Program {
   std::span<float> depth() const { return tensors_.back(); }
 
   std::size_t arena_bytes() const { return arena_.bytes() + scratch_.bytes(); }
+  std::size_t scratch_bytes() const { return scratch_.bytes(); }  // of all workers
   std::size_t constant_bytes() const { return constants_.bytes(); }
   // No activation, scratch or weight can be swapped out.
   bool memory_locked() const { return arena_.locked() && scratch_.locked() && constants_.locked(); }
 
  private:
   Program() = default;
-  void run_step(const Step& step, WorkerPool& pool) const noexcept;
+  Status check_memory(const Network& network, const Options& options) const;
+  Status place_tensors(const Network& network);
+  Status lower(const Network& network, const ModelFile& model, const Options& options);
+  Status make_scratch(int workers);
+  void run_step(std::size_t index, WorkerPool& pool) const noexcept;
+  void allow_tensors(int layer, int other_layer) const noexcept;
+  void allow_scratch(std::size_t floats, int workers) const noexcept;
+  void allow_results() const noexcept;
 
-  Arena arena_;    // activations
-  Arena scratch_;  // scratch_floats_ per worker
+  NetworkPlan plan_;  // of arena_
+  Arena arena_;       // activations
+  Arena scratch_;     // scratch_pitch_ bytes per worker
   ConstantStore constants_;
-  std::size_t scratch_floats_ = 0;
+  std::size_t scratch_pitch_ = 0;
   std::vector<std::span<float>> tensors_;  // per layer
   std::vector<std::unique_ptr<Step>> steps_;
-  std::vector<std::size_t> layer_of_step_;
+  std::vector<int> layer_of_step_;
 };
 
 // Appends to `steps` what computes layer `index` (nothing for input, start and what its reader

@@ -9,6 +9,7 @@
 #include "firmware/base/alloc_watch.h"
 #include "firmware/base/os.h"
 #include "firmware/vision/lens_map.h"
+#include "tests/support/locked_memory_limit.h"
 #include "tests/support/random_model.h"
 
 namespace lcdm {
@@ -282,6 +283,15 @@ TEST(Engine, RefusesAModelThatNeedsMoreMemoryThanABoardHas) {
   EXPECT_THAT(engine.status().text(), HasSubstr("at most 512 are given"));
 }
 
+TEST(Engine, CountsWhatEachThreadNeedsAgainstThatLimit) {
+  const ModelFile model = make_model();
+  const auto engine = Engine::prepare(model, {2048, 1600, 64}, kFormat, kCamera);
+  EXPECT_EQ(engine.code(), StatusCode::kInvalidInput);
+  EXPECT_THAT(engine.status().text(),
+              AllOf(HasSubstr("layers 2"), HasSubstr("at most 512"), HasSubstr("model.threads")));
+  EXPECT_LT(prepare(model, {2048, 1600, 1})->stats().arena_bytes, std::size_t{512} << 20);
+}
+
 TEST(Engine, PrepareSaysWhatCannotBeUsed) {
   const ModelFile model = make_model();
   const auto refusal = [&](const EngineOptions& options, const FrameFormat& format,
@@ -325,6 +335,18 @@ TEST(Engine, TensorsAreReadByNameOnlyWhenKept) {
   EXPECT_EQ(prepare(model, {64, 64})->tensor("depth").code(), StatusCode::kInvalidInput);
   EXPECT_EQ(keeping->run_network(std::vector<float>(3)).code(), StatusCode::kInvalidInput);
 }
+
+#ifndef LCDM_SANITIZED  // there nothing is locked
+// What the service's warning and the status say by.
+TEST(EngineDeathTest, SaysThatItsMemoryIsNotLockedWhereTheLimitIsTooSmall) {
+  const ModelFile model = make_model();
+  const auto prepare_within_limit = [&] {
+    test::limit_locked_memory(rlim_t{1} << 20);
+    _exit(prepare(model, {64, 64})->stats().memory_locked ? 1 : 0);
+  };
+  EXPECT_EXIT(prepare_within_limit(), testing::ExitedWithCode(0), "");
+}
+#endif
 
 TEST(NetworkSize, FollowsTheShapeOfTheCamera) {
   ModelConfig model;

@@ -23,6 +23,14 @@ TEST(MemoryPlan, NothingToPlaceNeedsNothing) {
   EXPECT_EQ(plan_memory({}).bytes, 0U);
   const std::vector<Lifetime> empty = {{0, 0, 5}};
   EXPECT_EQ(plan_memory(empty).bytes, 0U);
+  EXPECT_EQ(plan_memory(empty, 64).bytes, 0U);
+}
+
+TEST(MemoryPlan, AGapStaysFreeBehindEachBlock) {
+  const std::vector<Lifetime> chain = {{1000, 0, 1}, {1000, 1, 2}, {1000, 2, 3}};
+  const MemoryPlan plan = plan_memory(chain, 128);
+  EXPECT_EQ(plan.offsets, (std::vector<std::size_t>{0, 1152, 0}));
+  EXPECT_EQ(plan.bytes, 2304U);
 }
 
 TEST(MemoryPlan, RandomLifetimesNeverOverlapInTimeAndSpace) {

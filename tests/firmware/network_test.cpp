@@ -5,7 +5,10 @@
 #include <gtest/gtest.h>
 #include <map>
 
+#include "firmware/base/os.h"
+#include "firmware/nn/kernels/matrix.h"
 #include "firmware/nn/network_plan.h"
+#include "firmware/nn/program.h"
 #include "tests/support/random_model.h"
 
 namespace lcdm {
@@ -131,6 +134,23 @@ TEST(NetworkPlan, ArenaBytesAreKnownBeforeAnythingIsAllocated) {
   EXPECT_EQ(bytes(EncoderKind::kS, PresetKind::kLcdm, 640, 192), 12779520U);
   EXPECT_EQ(bytes(EncoderKind::kS, PresetKind::kLcdm, 640, 480), 31948800U);
   EXPECT_EQ(bytes(EncoderKind::kS, PresetKind::kLcdm, 1024, 320), 34078720U);
+}
+
+// Golden: one worker's scratch. Vectors of eight floats (AVX2) have another 3x3 to few channels.
+TEST(Program, ScratchBytesAreKnown) {
+  const auto bytes = [](EncoderKind encoder, PresetKind preset, int width, int height) {
+    const ModelConfig config = test::make_config(encoder, preset);
+    const auto program = Program::build(make_network(encoder, preset, width, height),
+                                        model_of(test::make_random_weights(config, 1), config), {});
+    EXPECT_TRUE(program) << program.status().text();
+    return program->scratch_bytes() - os::kGuardBytes;
+  };
+  const bool eight = kernels::vector_lanes() == 8;
+  EXPECT_EQ(bytes(EncoderKind::kXxs, PresetKind::kLcdm, 640, 192), eight ? 1367488U : 1449344U);
+  EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kLcdm, 640, 192), eight ? 1367488U : 1449344U);
+  EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kPaper, 640, 192), 1321728U);
+  EXPECT_EQ(bytes(EncoderKind::kXs, PresetKind::kLcdm, 1024, 320), eight ? 2184640U : 2315648U);
+  EXPECT_EQ(bytes(EncoderKind::kS, PresetKind::kLcdm, 640, 192), 1540608U);
 }
 
 // Attention mixes every token with every other; a tensor of all pairs would grow sixteenfold.
