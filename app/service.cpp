@@ -53,6 +53,7 @@ Service::Service(Pipeline& pipeline, const LiveView& view, Recorder& recorder, c
       view_(view),
       recorder_(recorder),
       thermal_(sysfs),
+      huge_pages_(os::gives_huge_pages(sysfs)),
       control_(pipeline, recorder),
       panel_(config.gpio),
       ladder_(config.service.least_rate) {
@@ -224,7 +225,7 @@ void Service::announce_source() {
         "warning: its weights and activations may be swapped out (raise LimitMEMLOCK= or ulimit "
         "-l)\n");
   }
-  if (!os::gives_huge_pages()) {
+  if (!huge_pages_) {
     std::printf(
         "warning: no huge pages, inference may be slower (echo madvise "
         ">/sys/kernel/mm/transparent_hugepage/enabled)\n");

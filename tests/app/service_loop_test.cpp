@@ -13,6 +13,7 @@
 #include "app/status_json.h"
 #include "firmware/base/exit_code.h"
 #include "tests/app/service_fixture.h"
+#include "tests/support/locked_memory_limit.h"
 #include "tests/support/notify_socket.h"
 
 namespace lcdm {
@@ -39,6 +40,16 @@ class ServiceLoopTest : public test::InnerServiceTest {
     log_ = testing::internal::GetCapturedStdout();
     return status;
   }
+  void run_until_it_streams() {
+    make();
+    camera_.on_dequeue = [this](int) {
+      return service_->status().judgement.state == DeviceState::kStreaming
+                 ? Status::error(StatusCode::kEndOfStream, "fake: the end")
+                 : Status::ok();
+    };
+    EXPECT_TRUE(run());
+    TearDown();
+  }
   // With two networks, until the smaller one infers: the script ends there, or after frames enough.
   void run_until_the_smaller_network(const Config& config = {}) {
     make({}, test::tiny_engine(96), test::tiny_engine(64), config);
@@ -61,6 +72,34 @@ class ServiceLoopTest : public test::InnerServiceTest {
   test::NotifySocket systemd_{folder_.file("notify")};
   std::string log_;
 };
+
+TEST_F(ServiceLoopTest, WarnsAtTheStartWhereTheKernelGivesNoHugePages) {
+  const auto warned = [&](const std::string& enabled) {
+    const std::filesystem::path folder = sysfs() + "/kernel/mm/transparent_hugepage";
+    std::filesystem::create_directories(folder);
+    std::ofstream(folder / "enabled") << enabled << "\n";
+    run_until_it_streams();
+    return log_.find("warning: no huge pages") != std::string::npos;
+  };
+  EXPECT_TRUE(warned("always madvise [never]"));
+  EXPECT_FALSE(warned("always [madvise] never"));
+}
+
+#ifndef LCDM_SANITIZED  // there nothing is locked
+TEST_F(ServiceLoopTest, WarnsAtTheStartThatTheNetworkMayBeSwappedOut) {
+  const auto warned = [&] {
+    run_until_it_streams();
+    return log_.find("warning: its weights and activations may be swapped out") !=
+           std::string::npos;
+  };
+  EXPECT_FALSE(warned());
+  const auto within_limit = [&] {
+    test::limit_locked_memory(4096);
+    _exit(warned() ? 0 : 1);
+  };
+  EXPECT_EXIT(within_limit(), testing::ExitedWithCode(0), "");
+}
+#endif
 
 // The light blinks with what the status says.
 TEST_F(ServiceLoopTest, ShowsThatItBootsWhileTheEngineIsMade) {
