@@ -1,25 +1,38 @@
+#include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
 #include <string_view>
+#include <vector>
 
 #include "drivers/mcap_camera.h"
 #include "firmware/base/file.h"
 #include "model/commands.h"
+#include "model/dataset_files.h"
 
 namespace lcdm::model {
 namespace {
 
 namespace fs = std::filesystem;
 
+constexpr int kQuality = 92;  // of reduced JPEGs
+
 struct Options {
   std::string recording;
   std::string output;
   std::size_t every = 1;
+  int width = 0;
 };
 
-Status write_intrinsics(const fs::path& file, const Camera& camera) {
-  const CameraModel model = camera.model();
+// Of the pictures in the pack: as wide as they are, or of `width` columns.
+cv::Size packed_size(const CameraModel& camera, int width) {
+  if (width == 0 || width >= camera.width) return {camera.width, camera.height};
+  return {width, std::max(1, cvRound(static_cast<double>(camera.height) * width / camera.width))};
+}
+
+Status write_intrinsics(const fs::path& file, const CameraModel& model) {
   char text[512];
   const int length = std::snprintf(
       text, sizeof(text),
@@ -31,7 +44,22 @@ Status write_intrinsics(const fs::path& file, const Camera& camera) {
   return write_file(file.string(), std::string_view(text, static_cast<std::size_t>(length)));
 }
 
-// The recording's JPEGs become rgb/NNNNNN.jpg, untouched, named as `lcdm infer` names their depth.
+using Bytes = std::vector<std::uint8_t>;
+
+// `jpeg` at `size`; empty where it cannot be decoded.
+Bytes reduced(const Bytes& jpeg, cv::Size size) {
+  Bytes out;
+  const Status done = dataset::guarded("a picture", [&] {
+    cv::Mat picture = cv::imdecode(jpeg, cv::IMREAD_COLOR);
+    cv::resize(picture, picture, size, 0, 0, cv::INTER_AREA);  // throws where there is none
+    cv::imencode(".jpg", picture, out, {cv::IMWRITE_JPEG_QUALITY, kQuality});
+    return Status::ok();
+  });
+  return done ? out : Bytes();
+}
+
+// The recording's JPEGs become rgb/NNNNNN.jpg, untouched or reduced, named as `lcdm infer` names
+// their depth.
 Status run(const Options& options) {
   McapCamera camera(options.recording, McapCamera::Playback::kOffline);
   LCDM_RETURN_IF_ERROR(camera.configure({}));
@@ -53,6 +81,8 @@ Status run(const Options& options) {
   fs::create_directories(rgb, error);
   if (error) return Status::system(error.value(), "cannot make the folder %s", rgb.c_str());
 
+  const CameraModel model = camera.model();
+  const cv::Size size = packed_size(model, options.width);
   std::size_t read = 0;
   std::size_t written = 0;
   std::size_t damaged = 0;
@@ -66,13 +96,19 @@ Status run(const Options& options) {
     if (!frame) return frame.status();
     if (read++ % options.every == 0) {
       const fs::path file = rgb / (camera.frame_name(frame->view.meta.sequence) + ".jpg");
-      const auto bytes = std::as_bytes(std::span(frame->view.data, frame->view.bytes));
-      LCDM_RETURN_IF_ERROR(write_file(file.string(), bytes));
-      ++written;
+      Bytes jpeg(frame->view.data, frame->view.data + frame->view.bytes);
+      if (size.width != model.width) jpeg = reduced(jpeg, size);
+      if (jpeg.empty()) {
+        ++damaged;
+      } else {
+        LCDM_RETURN_IF_ERROR(write_file(file.string(), std::as_bytes(std::span(jpeg))));
+        ++written;
+      }
     }
     LCDM_RETURN_IF_ERROR(camera.requeue(frame->index));
   }
-  LCDM_RETURN_IF_ERROR(write_intrinsics(fs::path(options.output) / "intrinsics.json", camera));
+  LCDM_RETURN_IF_ERROR(write_intrinsics(fs::path(options.output) / "intrinsics.json",
+                                        model.resized(size.width, size.height)));
   std::printf(
       "%zu pictures in %s%s\n", written, options.output.c_str(),
       damaged == 0 ? "" : (", " + std::to_string(damaged) + " damaged ones left out").c_str());
@@ -91,6 +127,12 @@ void add_pack(CLI::App& app, Status& status) {
   command->add_option("--every", options->every, "Keep every n-th frame")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
+  command
+      ->add_option(
+          "--width", options->width,
+          "Reduce wider pictures to this many pixels, their shape kept; without it they are "
+          "the recording's own bytes")
+      ->check(CLI::Range(32, 8192));
   command->callback([options, &status] { status = run(*options); });
 }
 

@@ -4,6 +4,8 @@
 #include <fstream>
 #include <gtest/gtest.h>
 #include <iterator>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
 #include <string>
 #include <vector>
 
@@ -32,6 +34,24 @@ class FieldLoopTest : public ::testing::Test {
     ASSERT_EQ(child.wait(180), 0) << child.text();
   }
 
+  // Every picture of `small` is that of `large` at half its size, and so is the camera.
+  static void expect_half_of(const fs::path& large, const fs::path& small) {
+    for (const auto& file : fs::directory_iterator(small / "rgb")) {
+      cv::Mat picture = cv::imread((large / "rgb" / file.path().filename()).string());
+      cv::resize(picture, picture, {}, .5, .5, cv::INTER_AREA);
+      const cv::Mat half = cv::imread(file.path().string());
+      ASSERT_EQ(half.size(), picture.size());
+      EXPECT_LT(cv::norm(half, picture, cv::NORM_L1) / static_cast<double>(3 * half.total()), 3);
+    }
+    const auto number = [](const fs::path& pack, const char* key) {
+      const cv::FileStorage file((pack / "intrinsics.json").string(), cv::FileStorage::READ);
+      return static_cast<double>(file[key]);
+    };
+    EXPECT_DOUBLE_EQ(number(small, "width"), 160);
+    EXPECT_NEAR(number(small, "fx"), number(large, "fx") / 2, 1e-3);
+    EXPECT_NEAR(number(small, "cy"), (number(large, "cy") + .5) / 2 - .5, 1e-3);
+  }
+
   static std::size_t files_in(const fs::path& folder) {
     return static_cast<std::size_t>(
         std::distance(fs::directory_iterator(folder), fs::directory_iterator()));
@@ -55,6 +75,11 @@ TEST_F(FieldLoopTest, ADriveIsRecordedReplayedTrainedOnAndExported) {
   test::Program again(LCDM_TRAIN_PROGRAM,
                       {"pack", "--recording", path("drive"), "--output", path("pack")});
   EXPECT_EQ(again.wait(60), 2) << "another recording's pictures would mix with these";
+
+  run(LCDM_TRAIN_PROGRAM, {"pack", "--recording", path("drive"), "--output", path("small"),
+                           "--every", "2", "--width", "160"});
+  EXPECT_EQ(files_in(path("small/rgb")), (pictures + 1) / 2);
+  expect_half_of(path("pack"), path("small"));
 
   run(LCDM_TRAIN_PROGRAM,
       {"train", "--pack", path("pack"), "--scene-frames", "0", "--encoder", "xxs", "--steps", "3",
