@@ -97,6 +97,7 @@ TEST(Catalogues, OfTheProjectAreWellFormed) {
       "driving_carnd_testvideo",  // MIT
       "lingbot_rooms",            // Apache-2.0
       "driving_pjlab",            // Apache-2.0
+      "panorama_rooms",           // CC0
       "tum_offices",              // CC BY 4.0
       "tum_desk",                 // CC BY 4.0
       "tartanair_hospital",       // CC BY 4.0
