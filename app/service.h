@@ -78,7 +78,7 @@ class Service {
   const Recorder& recorder_;
   const ServiceNotify notify_;
   const Thermal thermal_;
-  bool huge_pages_;  // the kernel gives them
+  const bool huge_pages_;  // the kernel gives them
   ButtonControl control_;
   const Heartbeat* page_ = nullptr;
 

@@ -46,12 +46,13 @@ Status write_intrinsics(const fs::path& file, const CameraModel& model) {
 
 using Bytes = std::vector<std::uint8_t>;
 
-// `jpeg` at `size`; empty where it cannot be decoded.
-Bytes reduced(const Bytes& jpeg, cv::Size size) {
+// `jpeg` at `size`; empty where it is not a picture of the camera's `whole`.
+Bytes reduced(const Bytes& jpeg, cv::Size whole, cv::Size size) {
   Bytes out;
   const Status done = dataset::guarded("a picture", [&] {
     cv::Mat picture = cv::imdecode(jpeg, cv::IMREAD_COLOR);
-    cv::resize(picture, picture, size, 0, 0, cv::INTER_AREA);  // throws where there is none
+    if (picture.size() != whole) return Status::error(StatusCode::kCorrupt, "another size");
+    cv::resize(picture, picture, size, 0, 0, cv::INTER_AREA);
     cv::imencode(".jpg", picture, out, {cv::IMWRITE_JPEG_QUALITY, kQuality});
     return Status::ok();
   });
@@ -97,7 +98,7 @@ Status run(const Options& options) {
     if (read++ % options.every == 0) {
       const fs::path file = rgb / (camera.frame_name(frame->view.meta.sequence) + ".jpg");
       Bytes jpeg(frame->view.data, frame->view.data + frame->view.bytes);
-      if (size.width != model.width) jpeg = reduced(jpeg, size);
+      if (size.width != model.width) jpeg = reduced(jpeg, {model.width, model.height}, size);
       if (jpeg.empty()) {
         ++damaged;
       } else {
